@@ -1,0 +1,1 @@
+"""YAML configuration of every trainer, task, controller and experiment."""

@@ -1,0 +1,1 @@
+"""The insertion task and its environments."""

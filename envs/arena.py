@@ -1,0 +1,118 @@
+"""Platform, table, floor, light, cameras and the solver's settings."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dm_control import composer
+
+TABLE_HEIGHT = 0.75
+"""Of the platform's surface, z = 0, above the floor, m."""
+CAMERAS = ("overview", "closeup", "front")
+
+
+class PlatformArena(composer.Arena):
+    """A table in front of the robot with a raised platform whose surface is the plane z = 0."""
+
+    def _build(
+        self, goal_xy: tuple[float, float], friction: float, timestep: float, name: str = "insertion"
+    ) -> None:
+        """Builds the arena.
+
+        Args:
+            goal_xy: middle of the platform, m.
+            friction: sliding friction of the platform.
+            timestep: of the physics, s.
+            name: of the MJCF model.
+        """
+        super()._build(name)
+        self._set_solver(timestep)
+        self._add_look()
+        self._add_furniture(goal_xy, friction)
+        self._add_cameras(goal_xy)
+
+    def _set_solver(self, timestep: float) -> None:
+        option = self._mjcf_root.option
+        option.timestep = timestep
+        option.integrator = "implicitfast"
+        option.cone = "elliptic"
+        option.iterations = 10
+        option.ls_iterations = 20
+        option.noslip_iterations = 0
+        option.flag.multiccd = "enable"
+
+    def _add_look(self) -> None:
+        root = self._mjcf_root
+        root.visual.headlight.set_attributes(
+            ambient=(0.35, 0.35, 0.36), diffuse=(0.25, 0.25, 0.25), specular=(0.1, 0.1, 0.1)
+        )
+        root.visual.quality.shadowsize = 4096
+        root.visual.map.set_attributes(znear=0.01, zfar=40, shadowclip=1.5)
+        getattr(root.visual, "global").set_attributes(offwidth=1280, offheight=960)
+        root.asset.add(
+            "texture", name="sky", type="skybox", builtin="gradient",
+            rgb1=(0.93, 0.95, 0.97), rgb2=(0.60, 0.68, 0.78), width=256, height=256,
+        )  # fmt: skip
+        root.asset.add(
+            "texture", name="floor", type="2d", builtin="checker", width=300, height=300,
+            rgb1=(0.74, 0.76, 0.79), rgb2=(0.69, 0.71, 0.75),
+        )  # fmt: skip
+        root.asset.add(
+            "material", name="floor", texture="floor", texrepeat=(12, 12), reflectance=0.05
+        )
+        root.asset.add("material", name="table", rgba=(0.80, 0.71, 0.58, 1), specular=0.2)
+        root.asset.add("material", name="platform", rgba=(0.25, 0.28, 0.33, 1), specular=0.3)
+        root.asset.add("material", name="pedestal", rgba=(0.13, 0.135, 0.15, 1), specular=0.3)
+        root.worldbody.add(
+            "light", name="key", pos=(0.2, -1.4, 2.2), dir=(0.22, 0.55, -0.85), directional=True,
+            diffuse=(0.62, 0.61, 0.58), specular=(0.35, 0.35, 0.35), castshadow=True,
+        )  # fmt: skip
+        root.worldbody.add(
+            "light", name="fill", pos=(1.6, 1.2, 1.6), dir=(-0.6, -0.5, -0.6), directional=True,
+            diffuse=(0.18, 0.2, 0.24), specular=(0.1, 0.1, 0.1), castshadow=False,
+        )  # fmt: skip
+
+    def _add_furniture(self, goal_xy: tuple[float, float], friction: float) -> None:
+        world = self._mjcf_root.worldbody
+        x, y = goal_xy
+
+        def decor(kind: str, material: str, **shape: Any) -> None:
+            world.add("geom", type=kind, material=material, contype=0, conaffinity=0, **shape)
+
+        # What the blocks touch is an unseen plane: box on plane is exact and cheap.
+        self._surface = world.add(
+            "geom", name="surface", type="plane", size=(1, 1, 0.1), group=4,
+            friction=(friction, 0.005, 0.0001),
+        )  # fmt: skip
+        decor("box", "platform", pos=(x, y, -0.01), size=(0.16, 0.12, 0.01))
+        decor("box", "table", pos=(x + 0.05, y, -0.04), size=(0.33, 0.45, 0.02))
+        for side_x in (-1, 1):
+            for side_y in (-1, 1):
+                decor(
+                    "box", "pedestal",
+                    pos=(x + 0.05 + side_x * 0.29, y + side_y * 0.41, -TABLE_HEIGHT / 2 - 0.03),
+                    size=(0.02, 0.02, TABLE_HEIGHT / 2 - 0.03),
+                )  # fmt: skip
+        decor(
+            "cylinder", "pedestal", fromto=(0, 0, -TABLE_HEIGHT, 0, 0, -0.02), size=(0.11,)
+        )
+        decor("box", "pedestal", pos=(0, 0, -TABLE_HEIGHT + 0.03), size=(0.26, 0.26, 0.03))
+        decor("plane", "floor", pos=(0, 0, -TABLE_HEIGHT), size=(6, 6, 0.1))
+
+    def _add_cameras(self, goal_xy: tuple[float, float]) -> None:
+        x, y = goal_xy
+        target = self._mjcf_root.worldbody.add("body", name="camera_target", pos=(x, y, 0.09))
+        middle = self._mjcf_root.worldbody.add("body", name="arm_target", pos=(x - 0.24, y, 0.22))
+        for name, position, aim, fovy in (
+            ("overview", (x + 0.45, y - 1.35, 0.62), middle, 38),
+            ("closeup", (x + 0.16, y - 0.50, 0.26), target, 38),
+            ("front", (x + 0.75, y - 0.12, 0.30), target, 38),
+        ):
+            self._mjcf_root.worldbody.add(
+                "camera", name=name, pos=position, mode="targetbody", target=aim, fovy=fovy
+            )
+
+    @property
+    def surface(self) -> Any:
+        """The plane on which the blocks stand."""
+        return self._surface

@@ -1,0 +1,1 @@
+"""Residual reinforcement learning for robot control, on TorchRL."""

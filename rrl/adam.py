@@ -1,0 +1,68 @@
+"""Adam whose step can be traced into one compiled graph with the loss and its gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import torch
+from torch import Tensor, nn
+from torch.optim.adam import adam
+
+
+class Adam(nn.Module):
+    """Adam on a fixed list of parameters, fed with gradients instead of reading ``.grad``.
+
+    ``torch.optim.Adam.step`` breaks a compiled graph, and ``.grad`` belongs to ``backward``. This module keeps
+    the moments as buffers, so that they are part of a ``state_dict``, and calls PyTorch's functional Adam: the
+    fused kernel in eager mode, the traceable one inside ``torch.compile``. The rule works element by
+    element, so that stacked seeds stay independent.
+
+    Args:
+        params: the parameters, updated in place.
+        lr: learning rate.
+        betas: decay rates of the two moments.
+        eps: added to the root of the second moment.
+    """
+
+    def __init__(
+        self,
+        params: Iterable[Tensor],
+        lr: float,
+        betas: tuple[float, float] = (0.9, 0.999),
+        eps: float = 1e-8,
+    ) -> None:
+        super().__init__()
+        if not lr > 0:
+            raise ValueError(f"expected a learning rate above 0, got {lr}")
+        self.params = list(params)  # a plain list: the loss module owns the parameters
+        self.lr, self.betas, self.eps = lr, betas, eps
+        for i, p in enumerate(self.params):
+            self.register_buffer(f"exp_avg_{i}", torch.zeros_like(p.data))
+            self.register_buffer(f"exp_avg_sq_{i}", torch.zeros_like(p.data))
+            self.register_buffer(f"step_{i}", torch.zeros((), device=p.device))
+
+    def _buffers_named(self, name: str) -> list[Tensor]:
+        return [self._buffers[f"{name}_{i}"] for i in range(len(self.params))]  # type: ignore[misc]
+
+    @torch.no_grad()
+    def step(self, grads: Sequence[Tensor]) -> None:
+        """Apply one update with ``grads``, one tensor per parameter in the order of construction."""
+        compiling = torch.compiler.is_compiling()
+        adam(
+            [p.data for p in self.params],
+            list(grads),
+            self._buffers_named("exp_avg"),
+            self._buffers_named("exp_avg_sq"),
+            [],
+            self._buffers_named("step"),
+            foreach=compiling,
+            fused=not compiling,
+            capturable=compiling,
+            amsgrad=False,
+            beta1=self.betas[0],
+            beta2=self.betas[1],
+            lr=self.lr,
+            weight_decay=0.0,
+            eps=self.eps,
+            maximize=False,
+        )

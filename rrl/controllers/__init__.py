@@ -1,0 +1,20 @@
+"""Controllers: modules from observation keys to ``base_action``."""
+
+from rrl.controllers.base import Controller, StatefulController
+from rrl.controllers.pid import PIDController
+from rrl.controllers.policy import PolicyController
+from rrl.controllers.proportional import ProportionalController
+from rrl.controllers.replay import ReplayController
+from rrl.controllers.sum import SumController
+from rrl.controllers.zero import ZeroController
+
+__all__ = [
+    "Controller",
+    "PIDController",
+    "PolicyController",
+    "ProportionalController",
+    "ReplayController",
+    "StatefulController",
+    "SumController",
+    "ZeroController",
+]

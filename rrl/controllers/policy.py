@@ -1,0 +1,98 @@
+"""A trained policy as the controller."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import NestedKey, TensorDict, TensorDictBase, unravel_key
+from torch import Tensor, nn
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from rrl.controllers.base import Controller
+from rrl.keys import ACTION, BASE_ACTION
+
+__all__ = ["PolicyController"]
+
+
+class PolicyController(Controller):
+    """Any TensorDict module as the controller: frozen, closed loop.
+
+    It is what the paper's figure 5 needs: a policy from simulation under a residual. The policy is
+    copied when the controller is built. It runs without gradient, without exploration and in
+    evaluation mode, whatever mode its surroundings are in, and sees its own keys only; of what it
+    writes only the action is used.
+
+    Args:
+        policy: A module from and to a TensorDict, with ``in_keys`` and ``out_keys``.
+        checkpoint: File with the policy's ``state_dict``, written by ``torch.save``.
+        key_map: Policy's key -> environment's key, for keys that are named differently.
+        action_key: What the policy calls its action, ``[*batch, n_act]``.
+        out_key: Where the action goes.
+
+    Raises:
+        TypeError: If the policy is not a module with in_keys and out_keys.
+        ValueError: If ``key_map`` names a key that the policy does not read.
+        KeyError: If the policy does not write ``action_key``; when run, if an observation is
+            missing.
+        FileNotFoundError: If there is no such checkpoint.
+        RuntimeError: If the checkpoint does not fit the policy.
+
+    """
+
+    def __init__(
+        self,
+        policy: nn.Module,
+        checkpoint: str | Path | None = None,
+        key_map: Mapping[NestedKey, NestedKey] | None = None,
+        action_key: NestedKey = ACTION,
+        out_key: NestedKey = BASE_ACTION,
+    ) -> None:
+        if not isinstance(policy, nn.Module) or not hasattr(policy, "in_keys"):
+            raise TypeError(
+                "A TensorDict module with in_keys and out_keys was expected as the policy, got "
+                f"{type(policy).__name__}. Wrap a plain function or network in a TensorDictModule."
+            )
+        self._policy_keys = [unravel_key(key) for key in _keys_of(policy, "in_keys")]
+        written = [unravel_key(key) for key in _keys_of(policy, "out_keys")]
+        key_map = {unravel_key(k): unravel_key(v) for k, v in (key_map or {}).items()}
+        unknown = [key for key in key_map if key not in self._policy_keys]
+        if unknown:
+            raise ValueError(
+                f"key_map names {unknown}, which the policy does not read; it reads "
+                f"{self._policy_keys}."
+            )
+        if unravel_key(action_key) not in written:
+            raise KeyError(f"The policy does not write {action_key!r}; it writes {written}.")
+        super().__init__([key_map.get(key, key) for key in self._policy_keys], out_key)
+        self.action_key = action_key
+        self.policy = copy.deepcopy(policy)
+        if checkpoint is not None:
+            self.policy.load_state_dict(_load(Path(checkpoint)))
+        self.policy.requires_grad_(False)
+        self.eval()
+
+    def act(self, tensordict: TensorDictBase) -> Tensor:
+        """Return the policy's deterministic action ``[*batch, n_act]``."""
+        seen = TensorDict({}, batch_size=tensordict.batch_size, device=tensordict.device)
+        for policy_key, key in zip(self._policy_keys, self.in_keys, strict=True):
+            seen.set(policy_key, self.read(tensordict, key))
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            return self.policy(seen).get(self.action_key)
+
+    def train(self, mode: bool = True) -> PolicyController:
+        """Keep the policy in evaluation mode: a frozen policy does not train."""
+        return super().train(False)
+
+
+def _load(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise FileNotFoundError(f"There is no policy checkpoint at {path}.")
+    return torch.load(path, map_location="cpu", weights_only=True)
+
+
+def _keys_of(policy: Any, name: str) -> list[NestedKey]:
+    return list(getattr(policy, name))

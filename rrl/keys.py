@@ -1,0 +1,27 @@
+"""Names of the TensorDict entries that more than one part of the project reads or writes."""
+
+from __future__ import annotations
+
+ACTION = "action"
+"""What the policy says: the residual, in [-1, 1]."""
+
+BASE_ACTION = "base_action"
+"""What the controller says, in the environment's action units."""
+
+EXECUTED_ACTION = "executed_action"
+"""What the environment was given after superposition, disturbance and clipping."""
+
+OBSERVATION = "observation"
+"""The concatenated vector that actor and critic read."""
+
+SUCCESS = "success"
+"""Whether the task is solved in this state, bool."""
+
+DIVERGED = "diverged"
+"""Whether the physics diverged in this step, bool."""
+
+REWARD = "reward"
+"""The weighted sum of the reward terms."""
+
+REWARD_TERMS = "reward_terms"
+"""Nested entry with one weighted term a name."""

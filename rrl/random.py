@@ -1,0 +1,193 @@
+"""Random numbers that belong to a slot: one generator for each environment of a batch."""
+
+from __future__ import annotations
+
+import hashlib
+import operator
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+from torchrl.envs import EnvBase, SerialEnv, TransformedEnv
+
+__all__ = ["Seeded", "SlotGenerators", "seed_env"]
+
+_MAX_DRAWN_SEED = 2**31
+_MAX_INTEGER = 2**24
+
+
+class SlotGenerators:
+    """One random generator for each slot, so that a slot's numbers do not depend on its neighbours.
+
+    The generator of slot i is seeded from ``seed + i``: slot i of a batch draws, bit for bit, what
+    the only slot of a batch of one seeded ``seed + i`` draws.
+
+    Args:
+        seed: Seed of slot 0. None draws a seed from torch's global generator at first use, which is
+            what ``ParallelEnv.set_seed`` sets in its workers.
+        num_slots: Number of slots, at least 1.
+        stream: Name of the consumer. Two consumers with the same seed and different streams draw
+            unrelated numbers; the empty stream uses ``seed + i`` itself.
+
+    Raises:
+        ValueError: If ``num_slots`` is not a positive integer.
+        TypeError: If ``seed`` is neither an integer nor None.
+
+    """
+
+    def __init__(self, seed: int | None, num_slots: int, stream: str = "") -> None:
+        if num_slots < 1:
+            raise ValueError(f"num_slots must be at least 1, got {num_slots}.")
+        self.num_slots = int(num_slots)
+        self.stream = stream
+        self._seed = _check_seed(seed)
+        self._generators: list[torch.Generator] | None = None
+
+    def seed(self, seed: int | None) -> None:
+        """Start every slot anew from ``seed + i`` (None: from torch's global generator, lazily)."""
+        self._seed = _check_seed(seed)
+        self._generators = None
+
+    def resize(self, num_slots: int) -> None:
+        """Change the number of slots; the remaining slots start anew from the seed."""
+        if num_slots < 1:
+            raise ValueError(f"num_slots must be at least 1, got {num_slots}.")
+        if num_slots != self.num_slots:
+            self.num_slots = int(num_slots)
+            self._generators = None
+
+    def normal(self, shape: Sequence[int], mask: Tensor | None = None) -> Tensor:
+        """Draw standard normal numbers.
+
+        Args:
+            shape: Shape of one slot's draw.
+            mask: Slots that draw, bool ``[num_slots]``; None means all. The others get zeros and
+                their generators stay where they are.
+
+        Returns:
+            float32 ``[num_slots, *shape]`` on the CPU.
+
+        """
+        return self._draw(torch.Tensor.normal_, shape, mask)
+
+    def uniform(self, shape: Sequence[int], mask: Tensor | None = None) -> Tensor:
+        """Draw numbers uniform in [0, 1); see :meth:`normal`."""
+        return self._draw(torch.Tensor.uniform_, shape, mask)
+
+    def integers(self, high: int, shape: Sequence[int]) -> Tensor:
+        """Draw integers uniform in [0, high); int64 ``[num_slots, *shape]``.
+
+        Raises:
+            ValueError: If ``high`` is not in [1, 2^24], the integers that float32 holds exactly.
+
+        """
+        if not 1 <= high <= _MAX_INTEGER:
+            raise ValueError(f"high must be in [1, {_MAX_INTEGER}], got {high}.")
+
+        def fill(row: Tensor, generator: torch.Generator) -> None:
+            row.random_(0, high, generator=generator)
+
+        return self._draw(fill, shape, None).long()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return seed and state of every generator, to be continued exactly."""
+        states = None if self._generators is None else [g.get_state() for g in self._generators]
+        return {"seed": self._seed, "num_slots": self.num_slots, "states": states}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Take over the state of :meth:`state_dict`, including the number of slots."""
+        self._seed = state["seed"]
+        self.num_slots = state["num_slots"]
+        states = state["states"]
+        self._generators = None
+        if states is not None:
+            self._generators = [torch.Generator() for _ in states]
+            for generator, value in zip(self._generators, states, strict=True):
+                generator.set_state(value)
+
+    def _draw(self, fill: Any, shape: Sequence[int], mask: Tensor | None) -> Tensor:
+        generators = self._generators
+        if generators is None:
+            generators = self._generators = self._make_generators()
+        if mask is None:
+            out = torch.empty((self.num_slots, *shape))
+            if self.num_slots == 1:
+                fill(out, generator=generators[0])
+                return out
+            for row, generator in zip(out.unbind(0), generators, strict=True):
+                fill(row, generator=generator)
+            return out
+        out = torch.zeros((self.num_slots, *shape))
+        for slot in mask.reshape(self.num_slots).nonzero().flatten().tolist():
+            fill(out[slot], generator=generators[slot])
+        return out
+
+    def _make_generators(self) -> list[torch.Generator]:
+        seed = self._seed
+        if seed is None:
+            seed = int(torch.randint(_MAX_DRAWN_SEED, ()))
+        return [
+            torch.Generator().manual_seed(_stream_seed(seed + slot, self.stream))
+            for slot in range(self.num_slots)
+        ]
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Plain tensors instead of generators: picklable in every supported torch version.
+        return {"stream": self.stream, **self.state_dict()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.stream = state["stream"]
+        self.load_state_dict(state)
+
+
+class Seeded:
+    """Mark of a module that owns random numbers and is reached by :func:`seed_env`."""
+
+    def seed(self, seed: int | None) -> None:
+        """Start the random numbers anew from ``seed``."""
+        raise NotImplementedError
+
+
+def seed_env(env: EnvBase, seed: int) -> None:
+    """Seed an environment and every transform of this project around or inside it.
+
+    ``env.set_seed`` alone does not reach transforms in the same process. In a ``SerialEnv`` the
+    environments are seeded ``seed``, ``seed + 1``, ... (one number a slot), so that it equals a
+    batched environment with the same seed. The workers of a ``ParallelEnv`` cannot be reached:
+    transforms in there follow ``set_seed`` if they were built with ``seed=None``.
+
+    Args:
+        env: Any TorchRL environment, transformed or not.
+        seed: Seed of slot 0.
+
+    """
+    if isinstance(env, TransformedEnv):
+        seed_env(env.base_env, seed)
+        for module in env.transform.modules():
+            if isinstance(module, Seeded):
+                module.seed(seed)
+    elif isinstance(env, SerialEnv):
+        if env.is_closed:
+            env.start()
+        for child in env._envs:
+            seed_env(child, seed)
+            seed += max(child.batch_size.numel(), 1)
+    else:
+        env.set_seed(seed)
+
+
+def _check_seed(seed: int | None) -> int | None:
+    if seed is None:
+        return None
+    if isinstance(seed, bool) or not hasattr(seed, "__index__"):
+        raise TypeError(f"seed must be an integer or None, got {seed!r}.")
+    return operator.index(seed)
+
+
+def _stream_seed(seed: int, stream: str) -> int:
+    if not stream:
+        return seed
+    # torch's CPU generator keeps 32 bits of its seed, so the stream is hashed into them.
+    digest = hashlib.blake2b(f"{stream}/{seed}".encode(), digest_size=4).digest()
+    return int.from_bytes(digest, "little")

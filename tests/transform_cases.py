@@ -1,0 +1,143 @@
+"""What the tests of the transforms share: one case for each transform, and a driver."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModule
+from torch import Tensor, nn
+from torchrl.envs import EnvBase, TransformedEnv
+from torchrl.envs.transforms import CatTensors, Compose, ObservationNorm, Transform
+from torchrl.envs.utils import step_mdp
+from toy_envs import PointMass
+
+from rrl.controllers import (
+    PIDController,
+    ProportionalController,
+    ReplayController,
+    SumController,
+)
+from rrl.transforms import ControlNoise, ObservationLatency, ObservationNoise, ResidualAction
+
+POSITION = "end_effector_position"
+Factory = Callable[[int | None], Transform]
+
+
+def proportional() -> ProportionalController:
+    return ProportionalController(gain=0.5, clip=0.8, unit=0.1)
+
+
+def with_memory() -> SumController:
+    pid = PIDController(gain=0.3, integral_gain=0.5, derivative_gain=0.01, unit=0.1)
+    replay = ReplayController([[0.1, 0.0], [0.0, -0.2], [0.3, 0.3]], after_end="zero")
+    return SumController([pid, replay], weights=[1.0, [0.5, 1.5]], clip=0.9)
+
+
+def residual(seed: int | None) -> Transform:
+    return ResidualAction(proportional(), scale=0.5)
+
+
+def residual_with_memory(seed: int | None) -> Transform:
+    return ResidualAction(with_memory(), scale=[0.5, 1.0])
+
+
+def residual_on_policy(seed: int | None) -> Transform:
+    layer = nn.Linear(2, 2)
+    with torch.no_grad():
+        layer.weight.copy_(torch.tensor([[0.5, 0.1], [-0.2, 0.3]]))
+        layer.bias.zero_()
+    return ResidualAction(TensorDictModule(layer, in_keys=[POSITION], out_keys=["action"]))
+
+
+def control_noise(seed: int | None) -> Transform:
+    return ControlNoise(mu=[0.2, -0.1], sigma=0.3, seed=seed)
+
+
+def observation_noise(seed: int | None) -> Transform:
+    return ObservationNoise([POSITION], sigma=[0.1, 0.2], bias=0.05, seed=seed)
+
+
+def observation_noise_beside(seed: int | None) -> Transform:
+    keys = [POSITION, "goal"]
+    return ObservationNoise(keys, sigma=0.1, seed=seed, out_keys=["seen", ("camera", "goal")])
+
+
+def latency(seed: int | None) -> Transform:
+    return ObservationLatency([POSITION], steps=2, seed=seed)
+
+
+def tracker(seed: int | None) -> Transform:
+    keys = [POSITION, "goal"]
+    out = [POSITION, ("camera", "goal")]
+    return ObservationLatency(keys, 1, update_interval=2, dropout=0.4, seed=seed, out_keys=out)
+
+
+def chain(seed: int | None) -> Transform:
+    """Everything at once, in the order of a training run."""
+    return Compose(
+        control_noise(seed),
+        ObservationNoise([POSITION], sigma=0.01, seed=seed),
+        ObservationLatency([POSITION], steps=1, dropout=0.2, seed=seed),
+        residual_with_memory(seed),
+        ObservationNorm(loc=0.5, scale=2.0, in_keys=[POSITION]),
+        CatTensors([POSITION, "goal", "base_action"], "observation", del_keys=False),
+    )
+
+
+CASES: dict[str, Factory] = {
+    factory.__name__: factory
+    for factory in (
+        residual,
+        residual_with_memory,
+        residual_on_policy,
+        control_noise,
+        observation_noise,
+        observation_noise_beside,
+        latency,
+        tracker,
+        chain,
+    )
+}
+
+
+def make_env(factory: Factory, batch: tuple[int, ...] = (), seed: int | None = 0) -> TransformedEnv:
+    return TransformedEnv(PointMass(batch, seed=seed), factory(seed))
+
+
+def drive(
+    env: EnvBase, actions: Tensor, resets: Tensor | None = None, start: TensorDictBase | None = None
+) -> list[TensorDictBase]:
+    """Step through ``actions`` [T, *batch, n], resetting after step t where ``resets`` [T, *batch, 1]."""
+    tensordict = env.reset() if start is None else start
+    seen = [tensordict.clone()]
+    for step, action in enumerate(actions):
+        tensordict.set("action", action.clone())
+        tensordict = env.step(tensordict)
+        seen.append(tensordict.clone())
+        tensordict = step_mdp(tensordict)
+        if resets is not None and resets[step].any():
+            tensordict.set("_reset", resets[step].clone())
+            tensordict = env.reset(tensordict)
+            seen.append(tensordict.clone())
+    return seen
+
+
+def assert_same(one: list[TensorDictBase], other: list[TensorDictBase]) -> None:
+    """Hold two recordings to each other, bit for bit, key for key."""
+    assert len(one) == len(other)
+    for step, (a, b) in enumerate(zip(one, other, strict=True)):
+        assert set(a.keys(True, True)) == set(b.keys(True, True))
+        for key in a.keys(True, True):
+            assert torch.equal(a.get(key), b.get(key)), f"{key} differs at record {step}"
+
+
+def staggered(steps: int, slots: int) -> Tensor:
+    """Resets that come at another time in every slot, bool [T, slots, 1]."""
+    time = torch.arange(steps).reshape(-1, 1, 1)
+    return (time + 1) % (3 + torch.arange(slots).reshape(1, -1, 1)) == 0
+
+
+def random_actions(*shape: int, seed: int = 7) -> Tensor:
+    return torch.rand(shape, generator=torch.Generator().manual_seed(seed)) * 2 - 1

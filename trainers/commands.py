@@ -1,0 +1,116 @@
+"""What the commands do with a resolved configuration: train, evaluate, render."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rich.console import Console
+
+from . import assembly
+from .checkpointing import load_agent
+from .evaluator import Evaluator
+from .plots import learning_curve
+from .progress import Progress
+from .summary import Results, terminal_table, write_results
+from .trainer import Trainer
+from .video import RenderingUnavailable, render_comparison
+
+CONFIG_FILE = "config.yaml"
+
+
+def train(config: assembly.Config, run_dir: Path, console: Console, *, resume: bool) -> None:
+    """Train, then leave a table, a learning curve and a video in the run's directory."""
+    trainer = assembly.trainer(config, run_dir, Progress(console))
+    if resume:
+        console.print(f"resuming from {trainer.resume()}", highlight=False)
+    (run_dir / CONFIG_FILE).write_text(yaml.safe_dump(dict(config), sort_keys=False))
+    try:
+        results = trainer.run()
+        _report(config, trainer, results, console)
+    finally:
+        trainer.close()
+
+
+def _report(config: assembly.Config, trainer: Trainer, results: Results, console: Console) -> None:
+    run_dir, seeds = trainer.run_dir, trainer.settings.seeds
+    write_results(results, seeds, run_dir)
+    console.print(terminal_table(results, seeds, title=str(config["name"])))
+    scenario = next(iter(results))
+    written = [run_dir / "results.md", run_dir / CONFIG_FILE]
+    if trainer.env_steps and (run_dir / "metrics.csv").exists():
+        written.append(learning_curve(run_dir, scenario, run_dir / "learning_curve.png"))
+    video = _video(config, trainer.agent, results, scenario, run_dir, console)
+    written += [video] if video else []
+    for path in written:
+        console.print(f"  {path}", highlight=False, soft_wrap=True)
+    for path in written:
+        if path.suffix in (".png", ".mp4"):
+            for logger in trainer.loggers:
+                logger.log_file(f"media/{path.stem}", path, trainer.env_steps)
+
+
+def evaluate(config: assembly.Config, run_dir: Path, console: Console) -> None:
+    """Evaluate a run's newest checkpoint on every scenario of the configuration."""
+    results, _, seeds = _evaluate(config, run_dir, console)
+    write_results(results, seeds, run_dir)
+    console.print(terminal_table(results, seeds, title=f"{config['name']} ({run_dir})"))
+
+
+def render(config: assembly.Config, run_dir: Path, console: Console) -> None:
+    """Write a video of controller and residual on the same episode."""
+    results, agent, _ = _evaluate(config, run_dir, console)
+    scenario = config["render"]["scenario"] or next(iter(results))
+    if scenario not in results:
+        raise ValueError(f"render.scenario: expected one of {sorted(results)}, got {scenario!r}")
+    path = _video(config, agent, results, scenario, run_dir, console)
+    if path:
+        console.print(f"  {path}", highlight=False, soft_wrap=True)
+
+
+def _evaluate(
+    config: assembly.Config, run_dir: Path, console: Console
+) -> tuple[Results, Any, list[int]]:
+    assembly.check(config)
+    settings = assembly.settings(config)
+    factory = assembly.environment(config)
+    env = factory.make(1)
+    spec, action = env.observation_spec["observation"], env.full_action_spec["action"]
+    agent = assembly.build(config["algorithm"]["agent"])(
+        input_sizes={"observation": spec.shape[-1]},
+        action_size=action.shape[-1],
+        num_seeds=settings.num_seeds,
+        seed=settings.seed,
+    )
+    env.close()
+    console.print(f"loaded {load_agent(run_dir, agent)}", highlight=False, soft_wrap=True)
+    evaluator = Evaluator(assembly.scenarios(config), settings.evaluation)
+    results = evaluator.final(agent, settings.num_seeds, Progress(console))
+    evaluator.close()
+    return results, agent, settings.seeds
+
+
+def _video(
+    config: assembly.Config,
+    agent: Any,
+    results: Results,
+    scenario: str,
+    run_dir: Path,
+    console: Console,
+) -> Path | None:
+    if not config["render"]["enabled"]:
+        return None
+    settings = assembly.settings(config)
+    try:
+        return render_comparison(
+            assembly.scenarios(config)[scenario],
+            agent,
+            results[scenario],
+            settings.evaluation.seed,
+            config["render"],
+            run_dir / "videos",
+        )
+    except RenderingUnavailable as error:
+        console.print(f"no video: {error}", style="yellow", highlight=False)
+        return None

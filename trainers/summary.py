@@ -1,0 +1,105 @@
+"""The table that ends a run: controller against residual, scenario by scenario."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from rich.table import Table
+
+from .evaluation import Comparison
+from .statistics import mean_interval, wilson
+
+Results = Mapping[str, Sequence[Comparison]]
+"""Scenario to one comparison per seed."""
+
+COLUMNS = (
+    "scenario",
+    "controller",
+    "residual, mean of seeds [95 % CI]",
+    "residual, each seed",
+    "rescued",
+    "broken",
+)
+
+
+def rows(results: Results, seeds: Sequence[int]) -> list[list[str]]:
+    """One row of text per scenario, for ``COLUMNS``; returns stand in where the environment knows no success."""
+    return [
+        [scenario, *_cells(comparisons)] for scenario, comparisons in results.items() if comparisons
+    ]
+
+
+def _cells(comparisons: Sequence[Comparison]) -> list[str]:
+    summaries = [c.summary() for c in comparisons]
+    if "success" not in summaries[0]:
+        returns = [s["return"] for s in summaries]
+        each = ", ".join(f"{r:.2f}" for r in returns)
+        return [
+            f"{summaries[0]['controller_return']:.2f}",
+            _mean_text(returns, "{:.2f}"),
+            each,
+            "",
+            "",
+        ]
+    rates = [s["success"] for s in summaries]
+    solved = comparisons[0].controller.success
+    assert solved is not None
+    low, high = wilson(int(solved.sum()), len(solved))
+    return [
+        f"{solved.mean():.0%} [{low:.0%}, {high:.0%}]",
+        _mean_text(rates, "{:.1%}"),
+        ", ".join(f"{rate:.0%}" for rate in rates),
+        f"{np.mean([s['rescues'] for s in summaries]):.1f}",
+        f"{np.mean([s['regressions'] for s in summaries]):.1f}",
+    ]
+
+
+def _mean_text(values: Sequence[float], form: str) -> str:
+    text = form.format(np.mean(values))
+    if len(values) < 2:
+        return text
+    low, high = mean_interval(values)
+    return f"{text} [{form.format(low)}, {form.format(high)}]"
+
+
+def terminal_table(results: Results, seeds: Sequence[int], title: str) -> Table:
+    """The table for the terminal."""
+    table = Table(title=title, title_justify="left", caption=caption(results, seeds))
+    for column in COLUMNS:
+        table.add_column(column)
+    for row in rows(results, seeds):
+        table.add_row(*row)
+    return table
+
+
+def markdown_table(results: Results, seeds: Sequence[int]) -> str:
+    """The table for a README."""
+    lines = ["| " + " | ".join(COLUMNS) + " |", "|" + "---|" * len(COLUMNS)]
+    lines += ["| " + " | ".join(row) + " |" for row in rows(results, seeds)]
+    return "\n".join([*lines, "", caption(results, seeds), ""])
+
+
+def caption(results: Results, seeds: Sequence[int]) -> str:
+    """What the numbers are: episodes, seeds, intervals."""
+    episodes = len(next(iter(results.values()))[0].residual.returns)
+    return (
+        f"{episodes} frozen episodes a scenario, the same for all; seeds {', '.join(map(str, seeds))}. "
+        "Controller: Wilson's 95 % interval. Residual: Student's t interval of the mean over seeds. "
+        "Rescued and broken: episodes that only the residual or only the controller solves, mean of seeds."
+    )
+
+
+def write_results(results: Results, seeds: Sequence[int], run_dir: Path) -> None:
+    """Write ``results.json`` (every summary of every seed) and ``results.md`` (the table)."""
+    content = {
+        scenario: {
+            str(seed): comparison.summary()
+            for seed, comparison in zip(seeds, comparisons, strict=True)
+        }
+        for scenario, comparisons in results.items()
+    }
+    (run_dir / "results.json").write_text(json.dumps(content, indent=2) + "\n")
+    (run_dir / "results.md").write_text(markdown_table(results, seeds))
