@@ -36,7 +36,7 @@ class InsertionConfig:
     # Geometry.
     held_half_size: tuple[float, float, float] = (0.02, 0.03, 0.05)
     standing_half_size: tuple[float, float, float] = (0.02, 0.03, 0.04)
-    chamfer: tuple[float, float] = (0.006, 0.009)
+    chamfer: tuple[float, float] = (0.003, 0.0045)
     """Cut of the standing blocks' inner top edge, along x and z."""
     clearance: float = 0.002
     """Play of the inserted block on each side of the gap when the blocks are aligned."""
@@ -70,16 +70,16 @@ class InsertionConfig:
     """Translation [N s/m] and rotation [N m s/rad]."""
     force_limit: float = 60.0
     """Largest force of the Cartesian controller along an axis, N."""
-    joint_stiffness: tuple[float, ...] = (600.0, 600.0, 400.0, 400.0, 150.0, 150.0, 80.0)
-    """Impedance controller, shoulder to wrist, N m/rad."""
-    joint_damping: tuple[float, ...] = (60.0, 60.0, 30.0, 30.0, 8.0, 8.0, 3.0)
-    """Impedance controller, shoulder to wrist, N m s/rad."""
-    ik_damping: float = 0.02
-    """Damping of the least-squares inverse kinematics."""
-    ik_posture_gain: float = 0.1
-    """Share of the way to the home posture taken in the null space each step."""
-    ik_rotation_gain: float = 1.0
-    """Share of the orientation error corrected in the set point each step."""
+    joint_stiffness: tuple[float, ...] = (350.0, 500.0, 500.0, 480.0, 280.0, 110.0, 80.0)
+    """Impedance controller, shoulder to wrist, N m/rad: about 600 N/m at the tool sideways and 1400
+    N/m downwards."""
+    joint_damping: tuple[float, ...] = (17.5, 25.0, 25.0, 24.0, 14.0, 5.5, 4.0)
+    """Impedance controller, shoulder to wrist, N m s/rad. In proportion to the stiffness, so that the
+    tool moves straight towards its set point."""
+    ik_rotation_gain: float = 0.4
+    """Share of the orientation error that the impedance controller's set point corrects in a step."""
+    ik_posture_gain: float = 0.2
+    """Share of the way to the home posture that it takes in a step, as far as the tool allows."""
 
     # Time.
     physics_timestep: float = 0.002
@@ -197,12 +197,12 @@ def _check_choices(config: InsertionConfig) -> None:
 
 _POSITIVE = (
     "held_half_size standing_half_size standing_mass held_mass action_scale cartesian_stiffness "
-    "force_limit joint_stiffness ik_damping physics_timestep start_height position_tolerance "
+    "force_limit joint_stiffness physics_timestep start_height position_tolerance "
     "tilt_tolerance velocity_limit"
 ).split()
 _NOT_NEGATIVE = (
     "chamfer clearance start_range yaw_range platform_friction standing_friction held_friction "
-    "cartesian_damping joint_damping ik_posture_gain ik_rotation_gain tilt_weight "
+    "cartesian_damping joint_damping ik_rotation_gain ik_posture_gain tilt_weight "
     "displacement_weight yaw_weight"
 ).split()
 _ANY_SIGN = ("goal_xy", "yaw_choices")

@@ -19,8 +19,10 @@ ROTATION_LIMIT = 20.0
 """Of the Cartesian controller about an axis, N m."""
 TOOL_DOWN_AXES = np.array([(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)])
 """Rows: x, y and z axis of a tool that points straight down."""
-MAX_ROTATION_STEP = 0.2
-"""Largest orientation correction of the impedance controller's set point in one step, rad."""
+IK_DAMPING = 1e-7
+"""d, in units of Cartesian compliance (about 1e-3 m/N in translation), against singular postures."""
+MAX_ROTATION_ERROR = 0.2
+"""Largest orientation error that the inverse kinematics looks at, rad."""
 
 
 def add_cartesian_actuators(root: Any, config: InsertionConfig, tool_site: Any) -> None:
@@ -109,22 +111,24 @@ def orientation_error(signals: Signals) -> np.ndarray:
 def joint_displacement(
     signals: Signals, displacement: np.ndarray, config: InsertionConfig, home: np.ndarray
 ) -> np.ndarray:
-    """Differential inverse kinematics: joint steps [B, 7] that move the tool by ``displacement``.
+    """Differential inverse kinematics: joint steps [B, 7] rad that move the tool by ``displacement``.
 
-    Damped least squares, dq = J# e + gain (1 - J# J)(q_home - q) with J# = J' (J J' + d^2)^-1 and e
-    the displacement [m] and the correction of the tool's orientation [rad].
+    Among the joint steps with J dq = e, where e holds the displacement [m] and a share of the
+    correction of the tool's orientation [rad], it takes the one nearest to a step dq_0 towards the
+    home posture, measured by the energy that the joint springs K store:
+    dq = dq_0 + K^-1 J' (J K^-1 J' + d I)^-1 (e - J dq_0).
     """
     jac = jacobian(signals)  # (B, 6, 7)
     error = np.empty((len(jac), 6))
     error[:, :3] = displacement
-    turn = config.ik_rotation_gain * orientation_error(signals)
-    error[:, 3:] = np.clip(turn, -MAX_ROTATION_STEP, MAX_ROTATION_STEP)
-    transposed = jac.swapaxes(1, 2)
+    turn = np.clip(orientation_error(signals), -MAX_ROTATION_ERROR, MAX_ROTATION_ERROR)
+    error[:, 3:] = config.ik_rotation_gain * turn
     posture = config.ik_posture_gain * (home - signals["joint_position"])  # (B, 7)
-    # J# e + posture - J# J posture = posture + J# (e - J posture)
-    rest = error - (jac @ posture[..., None])[..., 0]
-    gram = jac @ transposed + config.ik_damping**2 * np.eye(6)
-    return posture + (transposed @ np.linalg.solve(gram, rest[..., None]))[..., 0]
+    error -= (jac @ posture[..., None])[..., 0]
+    weighted = jac / np.asarray(config.joint_stiffness)  # (B, 6, 7)
+    gram = weighted @ jac.swapaxes(1, 2) + IK_DAMPING * np.eye(6)
+    wrench = np.linalg.solve(gram, error[..., None])  # (B, 6, 1)
+    return posture + (weighted.swapaxes(1, 2) @ wrench)[..., 0]
 
 
 def check_action(action: np.ndarray, num_envs: int) -> np.ndarray:

@@ -25,9 +25,7 @@ def per_dimension(
     """
     tensor = torch.as_tensor(value, dtype=torch.float32).detach().clone()
     if tensor.ndim > 1 or tensor.numel() == 0:
-        raise ValueError(
-            f"{name} must be a number or a list with one number a dimension, got {value!r}."
-        )
+        raise ValueError(f"{name} must be a number or a list with one number a dimension, got {value!r}.")
     if not tensor.isfinite().all():
         raise ValueError(f"{name} must be finite, got {value!r}.")
     if minimum is not None and (tensor < minimum).any():

@@ -14,7 +14,7 @@ def compile_update(update: Callable[..., Any]) -> Callable[..., Any]:
     Gradients are taken with :func:`torch.autograd.grad`, which Dynamo traces on request. Guards are skipped: the
     caller promises shapes, dtypes and parameters that never change, which holds for a training run.
     """
-    torch._dynamo.config.trace_autograd_ops = True  # type: ignore[attr-defined]
+    torch._dynamo.config.trace_autograd_ops = True
     return torch.compile(
         update,
         fullgraph=True,

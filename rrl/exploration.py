@@ -104,6 +104,7 @@ class OrnsteinUhlenbeckExploration(TensorDictModuleBase):
         self.spec = spec
         self.sigma, self.theta, self.dt = sigma, theta, dt
         self.generators = SlotGenerators(seed, num_slots, stream="exploration")
+        self.noise: torch.Tensor
         self.register_buffer("noise", torch.zeros(spec.shape))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:

@@ -105,11 +105,7 @@ class StackedMLP(nn.Module):
                 layers.append(StackedLayerNorm(num_seeds, size))
             layers.append(nn.ReLU())
             width = size
-        layers.append(
-            StackedLinear(
-                num_seeds, width, out_features, bound=last_layer_bound, generators=generators
-            )
-        )
+        layers.append(StackedLinear(num_seeds, width, out_features, bound=last_layer_bound, generators=generators))
         self.layers = nn.Sequential(*layers)
 
     def forward(self, *inputs: Tensor) -> Tensor:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
-from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.data.replay_buffers.samplers import Sampler
 from torchrl.data.replay_buffers.storages import Storage
 
@@ -17,8 +15,8 @@ class StackedSampler(Sampler):
     """Uniform sampling with replacement, independently for every seed.
 
     The storage holds transitions of ``S`` seeds interleaved: entry ``t * S + s`` is seed ``s``'s transition ``t``.
-    A request for ``k * S * B`` samples returns indices in the order ``[k, S, B]``, where seed ``s``'s indices come from its
-    own generator and point to its own entries.
+    A request for ``k * S * B`` samples returns indices in the order ``[k, S, B]``, where seed ``s``'s indices come
+    from its own generator and point to its own entries.
 
     Args:
         num_seeds: size ``S`` of the stack.
@@ -49,8 +47,11 @@ class StackedSampler(Sampler):
         """Restore the generators' state."""
         self.generators.load_state_dict(state_dict)
 
-    def _empty(self) -> None: ...
+    def _empty(self) -> None:
+        """Nothing to forget: every draw looks at the storage anew."""
 
-    def dumps(self, path: Any) -> None: ...
+    def dumps(self, path: Any) -> None:
+        """Nothing to write: :meth:`state_dict` has it all."""
 
-    def loads(self, path: Any) -> None: ...
+    def loads(self, path: Any) -> None:
+        """Nothing to read."""

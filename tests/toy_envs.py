@@ -66,9 +66,7 @@ class PointMass(EnvBase):
         self.full_action_spec = Composite({action_key: action}, shape=batch)
         self.reward_spec = Unbounded((*batch, 1))
         done = Binary(1, (*batch, 1), dtype=torch.bool)
-        self.full_done_spec = Composite(
-            done=done, terminated=done.clone(), truncated=done.clone(), shape=batch
-        )
+        self.full_done_spec = Composite(done=done, terminated=done.clone(), truncated=done.clone(), shape=batch)
 
     def _observe(self) -> dict[str, Tensor]:
         distance = (self._goal - self._position).norm(dim=-1, keepdim=True)
@@ -115,3 +113,18 @@ class PointMass(EnvBase):
 
     def _set_seed(self, seed: int | None) -> None:
         self._generators.seed(seed)
+
+
+class ResetsItself(PointMass):
+    """Starts the next episode within the step that ends one, as vectorised simulators do."""
+
+    def __init__(self, *args, **kwargs) -> None:
+        super().__init__(*args, **kwargs)
+        self.__dict__["_torchrl_native_autoreset"] = True
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        out = super()._step(tensordict)
+        if out["done"].any():
+            again = self._reset(TensorDict({"_reset": out["done"]}, batch_size=self.batch_size))
+            out.update(again)
+        return out

@@ -11,7 +11,6 @@ from torch import Tensor, nn
 from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.transforms import CatTensors, Compose, ObservationNorm, Transform
 from torchrl.envs.utils import step_mdp
-from toy_envs import PointMass
 
 from rrl.controllers import (
     PIDController,
@@ -20,6 +19,7 @@ from rrl.controllers import (
     SumController,
 )
 from rrl.transforms import ControlNoise, ObservationLatency, ObservationNoise, ResidualAction
+from toy_envs import PointMass
 
 POSITION = "end_effector_position"
 Factory = Callable[[int | None], Transform]
@@ -109,7 +109,10 @@ def make_env(factory: Factory, batch: tuple[int, ...] = (), seed: int | None = 0
 def drive(
     env: EnvBase, actions: Tensor, resets: Tensor | None = None, start: TensorDictBase | None = None
 ) -> list[TensorDictBase]:
-    """Step through ``actions`` [T, *batch, n], resetting after step t where ``resets`` [T, *batch, 1]."""
+    """Step through ``actions`` [T, *batch, n] and record it all.
+
+    After step t the slots of ``resets[t]`` [*batch, 1] are reset.
+    """
     tensordict = env.reset() if start is None else start
     seen = [tensordict.clone()]
     for step, action in enumerate(actions):

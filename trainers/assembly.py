@@ -30,6 +30,7 @@ def settings(config: Config) -> TrainerSettings:
 
     Raises:
         pydantic.ValidationError: unknown keys, wrong types, values out of range, contradictions.
+
     """
     return TrainerSettings.model_validate(config["trainer"])
 
@@ -46,17 +47,13 @@ def environment(config: Config) -> EnvironmentFactory:
         residual_scale=config["residual_scale"],
         batching=env["batching"],
         max_episode_steps=env["max_episode_steps"],
-        tracks_episode_start="OrnsteinUhlenbeck" in config["algorithm"]["exploration"]["_target_"],
     )
 
 
 def scenarios(config: Config) -> dict[str, EnvironmentFactory]:
     """The environments to evaluate on: the training environment with some arguments of its base replaced."""
     factory = environment(config)
-    return {
-        name: factory.with_overrides(**(overrides or {}))
-        for name, overrides in config["env"]["scenarios"].items()
-    }
+    return {name: factory.with_overrides(**(overrides or {})) for name, overrides in config["env"]["scenarios"].items()}
 
 
 def loggers(config: Config) -> list[MetricsLogger]:
@@ -86,6 +83,7 @@ def check(config: Config) -> None:
     Raises:
         ValueError: with every problem found in a ``_target_`` node, one per line: where, what came, what is known.
         pydantic.ValidationError: problems of the trainer's settings.
+
     """
     settings(config)
     problems = [p for path, node in _targets(config, "") for p in _check_target(path, node)]
@@ -118,10 +116,7 @@ def _check_target(path: str, node: Config) -> list[str]:
     if any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
         return []
     unknown = sorted(set(node) - set(parameters) - {"_target_"})
-    return [
-        f"{path}: {node['_target_']} does not take {key!r}; it takes {sorted(parameters)}"
-        for key in unknown
-    ]
+    return [f"{path}: {node['_target_']} does not take {key!r}; it takes {sorted(parameters)}" for key in unknown]
 
 
 def _locate(path: str) -> Any:

@@ -35,8 +35,9 @@ from torchrl.checkpoint import (
     StateDictCheckpointAdapter,
 )
 from torchrl.data import TensorDictReplayBuffer
+from torchrl.envs import TransformedEnv
 
-FOLDER = "checkpoints"
+from .layout import CHECKPOINTS
 
 
 class Holder:
@@ -53,6 +54,29 @@ class Holder:
         """Replace the dictionary's content."""
         self.state.clear()
         self.state.update(state)
+
+
+class EnvironmentState:
+    """The transforms of an environment, and the bare environment where it has a state of its own to give.
+
+    A transformed environment's ``state_dict`` covers its transforms only. An environment without a ``state_dict``
+    (hardware, Gymnasium) starts a new episode after loading; everything else goes on.
+    """
+
+    def __init__(self, env: TransformedEnv) -> None:
+        self.env = env
+
+    def state_dict(self) -> dict[str, Any]:
+        """State of the base environment and of the transforms."""
+        return {
+            "base": dict(self.env.base_env.state_dict()),
+            "transforms": dict(self.env.transform.state_dict()),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Restore both."""
+        self.env.base_env.load_state_dict(state["base"])
+        self.env.transform.load_state_dict(state["transforms"])
 
 
 class ReplayContent:
@@ -85,13 +109,14 @@ class Checkpoints:
         run_dir: the run's directory.
         keep: how many checkpoints stay.
         components: what to save, by name; anything with ``state_dict`` or ``dump``.
+
     """
 
     def __init__(self, run_dir: Path, keep: int, components: Mapping[str, Any]) -> None:
         self._checkpoint = Checkpoint()
         for name, component in {**components, "rng": GlobalRNGState()}.items():
             self._checkpoint.register(name, component, adapter=_adapter())
-        self._rotation = CheckpointRotation(run_dir / FOLDER, keep_last=keep)
+        self._rotation = CheckpointRotation(run_dir / CHECKPOINTS, keep_last=keep)
 
     def save(self, env_steps: int) -> Path:
         """Write a checkpoint and drop the ones beyond ``keep``."""
@@ -102,6 +127,7 @@ class Checkpoints:
 
         Raises:
             FileNotFoundError: if the run has none.
+
         """
         path = latest(self._rotation.directory.parent)
         self._checkpoint.load(path)
@@ -113,13 +139,12 @@ def latest(run_dir: Path) -> Path:
 
     Raises:
         FileNotFoundError: if the run has none; the message says where it was looked for.
+
     """
-    folder = run_dir / FOLDER
+    folder = run_dir / CHECKPOINTS
     found = sorted(p for p in folder.glob("checkpoint*") if p.is_dir()) if folder.is_dir() else []
     if not found:
-        raise FileNotFoundError(
-            f"no checkpoint in {folder}: expected the directory of a run that saved at least one"
-        )
+        raise FileNotFoundError(f"no checkpoint in {folder}: expected the directory of a run that saved at least one")
     return found[-1]
 
 

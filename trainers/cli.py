@@ -5,15 +5,17 @@ from __future__ import annotations
 import logging
 import os
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any, cast
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from . import commands
+from .layout import CONFIG_FILE
 
 USAGE = """usage: rrl COMMAND [key=value ...]
 
@@ -44,9 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         if os.environ.get("RRL_TRACEBACK"):
             raise
-        Console(stderr=True).print(
-            f"rrl {command}: {_message(error)}", style="red", highlight=False, markup=False
-        )
+        Console(stderr=True).print(f"rrl {command}: {_message(error)}", style="red", highlight=False, markup=False)
         return 2
     return 0
 
@@ -61,9 +61,9 @@ def _split_run(command: str, arguments: list[str]) -> tuple[Path | None, list[st
     if not named:
         return None, rest
     run_dir = Path(named[-1]).expanduser().resolve()
-    if not (run_dir / commands.CONFIG_FILE).is_file():
+    if not (run_dir / CONFIG_FILE).is_file():
         raise FileNotFoundError(
-            f"{key}{named[-1]}: no {commands.CONFIG_FILE} in {run_dir}; expected the directory of a training run"
+            f"{key}{named[-1]}: no {CONFIG_FILE} in {run_dir}; expected the directory of a training run"
         )
     return run_dir, rest
 
@@ -72,7 +72,7 @@ def _hydra(command: str, run_dir: Path | None, overrides: list[str]) -> None:
     """Let Hydra compose the configuration (a run's own one, if named) and call the command."""
     source = ["--config-path", "pkg://rrl.configs", "--config-name", "train"]
     if run_dir is not None:
-        source = ["--config-path", str(run_dir), "--config-name", commands.CONFIG_FILE]
+        source = ["--config-path", str(run_dir), "--config-name", CONFIG_FILE]
         overrides = [*overrides, f"hydra.run.dir={run_dir}", "hydra.output_subdir=null"]
     sys.argv = ["rrl", *source, *overrides]
     run: Callable[[], None] = hydra.main(version_base="1.3", config_path=None)(
@@ -83,9 +83,15 @@ def _hydra(command: str, run_dir: Path | None, overrides: list[str]) -> None:
 
 
 def _run(command: str, hydra_config: DictConfig, *, resume: bool) -> None:
+    # importing TorchRL warns of its own deprecated classes
+    warnings.filterwarnings("ignore", message="Creating .* inherits from WeightUpdaterBase")
+    from . import (
+        commands,  # here, because it imports torch and torchrl: help and usage errors come at once
+    )
+
     logging.getLogger("torchrl").setLevel(logging.WARNING)
-    config = OmegaConf.to_container(hydra_config, resolve=True, throw_on_missing=True)
-    assert isinstance(config, dict)
+    container = OmegaConf.to_container(hydra_config, resolve=True, throw_on_missing=True)
+    config = cast(dict[str, Any], container)
     run_dir = Path(HydraConfig.get().runtime.output_dir)
     console = Console()
     if command == "train":

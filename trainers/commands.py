@@ -11,13 +11,12 @@ from rich.console import Console
 from . import assembly
 from .checkpointing import load_agent
 from .evaluator import Evaluator
+from .layout import CONFIG_FILE, VIDEOS
 from .plots import learning_curve
 from .progress import Progress
 from .summary import Results, terminal_table, write_results
 from .trainer import Trainer
 from .video import RenderingUnavailable, render_comparison
-
-CONFIG_FILE = "config.yaml"
 
 
 def train(config: assembly.Config, run_dir: Path, console: Console, *, resume: bool) -> None:
@@ -69,9 +68,7 @@ def render(config: assembly.Config, run_dir: Path, console: Console) -> None:
         console.print(f"  {path}", highlight=False, soft_wrap=True)
 
 
-def _evaluate(
-    config: assembly.Config, run_dir: Path, console: Console
-) -> tuple[Results, Any, list[int]]:
+def _evaluate(config: assembly.Config, run_dir: Path, console: Console) -> tuple[Results, Any, list[int]]:
     assembly.check(config)
     settings = assembly.settings(config)
     factory = assembly.environment(config)
@@ -109,7 +106,7 @@ def _video(
             results[scenario],
             settings.evaluation.seed,
             config["render"],
-            run_dir / "videos",
+            run_dir / VIDEOS,
         )
     except RenderingUnavailable as error:
         console.print(f"no video: {error}", style="yellow", highlight=False)

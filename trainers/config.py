@@ -23,6 +23,7 @@ class EvaluationSettings(_Settings):
         final_episodes: frozen episodes of each scenario at the end.
         seed: names the frozen set; the same for all seeds, arms and runs.
         slots: how many episodes run side by side.
+
     """
 
     every: NonNegative = 500
@@ -38,6 +39,7 @@ class CheckpointSettings(_Settings):
     Attributes:
         every: environment steps (of one seed) between checkpoints; 0 saves only at the end.
         keep: how many checkpoints stay.
+
     """
 
     every: NonNegative = 1000
@@ -64,6 +66,7 @@ class TrainerSettings(_Settings):
         matmul_precision: ``highest`` for float32 products, ``medium`` for bfloat16 products under float32.
         evaluation: see :class:`EvaluationSettings`.
         checkpoint: see :class:`CheckpointSettings`.
+
     """
 
     seed: NonNegative = 0

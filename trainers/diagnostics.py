@@ -13,9 +13,7 @@ from rrl.transforms import ResidualAction
 from . import metrics
 
 
-def experience_metrics(
-    data: TensorDictBase, num_seeds: int, env: TransformedEnv
-) -> dict[str, list[float]]:
+def experience_metrics(data: TensorDictBase, num_seeds: int, env: TransformedEnv) -> dict[str, list[float]]:
     """Metrics of collected data ``[S * E, T]``, one value per seed.
 
     ``train/reward`` and ``train/reward_terms/*`` are means over steps; ``train/success`` is the share of the episodes
@@ -37,9 +35,7 @@ def experience_metrics(
 def _shares(data: TensorDictBase, env: TransformedEnv) -> dict[str, list[float]]:
     residual_action = next(t for t in env.transform if isinstance(t, ResidualAction))
     limits = residual_action.limits()
-    low, high, half_range = (
-        x.reshape(-1, x.shape[-1])[0] for x in (limits.low, limits.high, limits.half_range)
-    )
+    low, high, half_range = (x.reshape(-1, x.shape[-1])[0] for x in (limits.low, limits.high, limits.half_range))
     residual = residual_action.scale * half_range * data[ACTION]
     base = data[BASE_ACTION]
     demand = base + residual

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
 
@@ -14,7 +14,6 @@ from torchrl.envs import EnvBase, SerialEnv, TransformedEnv
 from torchrl.envs.transforms import (
     CatTensors,
     Compose,
-    InitTracker,
     ObservationNorm,
     Transform,
 )
@@ -37,6 +36,7 @@ class Input:
 
         Raises:
             ValueError: if a list does not have ``size`` numbers.
+
         """
         column = torch.as_tensor(value, dtype=torch.float32)
         if column.ndim and column.numel() != size:
@@ -63,6 +63,7 @@ class EnvironmentFactory:
         residual_scale: authority of the residual, in half ranges of the action, per dimension or for all.
         batching: ``native`` for an environment with a batch size of its own, ``serial`` to run copies in turn.
         max_episode_steps: bound on an episode's length, for evaluation.
+
     """
 
     base: Callable[..., EnvBase]
@@ -73,7 +74,6 @@ class EnvironmentFactory:
     residual_scale: float | Sequence[float] = 1.0
     batching: Batching = "native"
     max_episode_steps: int = 1000
-    tracks_episode_start: bool = field(default=False)
 
     def with_overrides(self, **overrides: Any) -> EnvironmentFactory:
         """The same chain on a base environment with other arguments (another scenario)."""
@@ -84,13 +84,12 @@ class EnvironmentFactory:
 
         Raises:
             KeyError: if an input or the controller names an entry that the environment does not have.
+
         """
         env = TransformedEnv(self._make_base(num_envs), Compose())
         for make in (*self.disturbances, *self.sensing):
             env.append_transform(make())
         env.append_transform(ResidualAction(self.controller(), scale=self.residual_scale))
-        if self.tracks_episode_start:
-            env.append_transform(InitTracker())
         self._append_inputs(env)
         return env
 
@@ -112,10 +111,6 @@ class EnvironmentFactory:
             loc.append(entry.column(name, entry.loc, size))
             scale.append(entry.column(name, entry.scale, size))
         keys: list[NestedKey] = list(self.inputs)
-        env.append_transform(
-            CatTensors(in_keys=keys, out_key=OBSERVATION, del_keys=False, sort=False)
-        )
+        env.append_transform(CatTensors(in_keys=keys, out_key=OBSERVATION, del_keys=False, sort=False))
         scales = torch.cat(scale)
-        env.append_transform(
-            ObservationNorm(loc=-torch.cat(loc) * scales, scale=scales, in_keys=[OBSERVATION])
-        )
+        env.append_transform(ObservationNorm(loc=-torch.cat(loc) * scales, scale=scales, in_keys=[OBSERVATION]))

@@ -31,6 +31,7 @@ class Episodes:
         success: whether the last step was a success; None where the environment does not say.
         diverged: whether the physics diverged.
         peaks: largest value of each entry of ``PEAKS`` over the episode, in the entry's units.
+
     """
 
     returns: NDArray[np.float64]
@@ -101,9 +102,7 @@ def zero_residual(env: EnvBase) -> TensorDictModule:
 
 
 @torch.no_grad()
-def run_episodes(
-    env: EnvBase, policy: TensorDictModuleBase, num_episodes: int, seed: int, max_steps: int
-) -> Episodes:
+def run_episodes(env: EnvBase, policy: TensorDictModuleBase, num_episodes: int, seed: int, max_steps: int) -> Episodes:
     """Run episodes ``0 .. num_episodes - 1`` of the frozen set that ``seed`` names.
 
     Episode ``i`` starts in the slot seeded ``seed + i``, whatever the batch size, and is the same for every policy.
@@ -114,6 +113,7 @@ def run_episodes(
         num_episodes: how many.
         seed: names the set.
         max_steps: bound on an episode's length.
+
     """
     slots = max(env.batch_size.numel(), 1)
     parts = []

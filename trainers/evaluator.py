@@ -19,11 +19,10 @@ class Evaluator:
     Args:
         scenarios: environments by name; the first is followed during training.
         settings: how many episodes, and which.
+
     """
 
-    def __init__(
-        self, scenarios: Mapping[str, EnvironmentFactory], settings: EvaluationSettings
-    ) -> None:
+    def __init__(self, scenarios: Mapping[str, EnvironmentFactory], settings: EvaluationSettings) -> None:
         if not scenarios:
             raise ValueError("expected at least one scenario to evaluate on")
         self.scenarios, self.settings = dict(scenarios), settings
@@ -35,24 +34,17 @@ class Evaluator:
         scenario = next(iter(self.scenarios))
         return scenario, self.compare(agent, num_seeds, scenario, self.settings.episodes)
 
-    def final(
-        self, agent: Any, num_seeds: int, progress: Progress
-    ) -> dict[str, list[Comparison]]:
+    def final(self, agent: Any, num_seeds: int, progress: Progress) -> dict[str, list[Comparison]]:
         """Evaluate every seed's policy on every scenario."""
         return {
             scenario: self.compare(agent, num_seeds, scenario, self.settings.final_episodes)
             for scenario in progress.track(self.scenarios, "evaluating")
         }
 
-    def compare(
-        self, agent: Any, num_seeds: int, scenario: str, episodes: int
-    ) -> list[Comparison]:
+    def compare(self, agent: Any, num_seeds: int, scenario: str, episodes: int) -> list[Comparison]:
         """One comparison with the controller per seed."""
         controller = self.controller(scenario, episodes)
-        return [
-            Comparison(self._run(agent.policy_of(k), scenario, episodes), controller)
-            for k in range(num_seeds)
-        ]
+        return [Comparison(self._run(agent.policy_of(k), scenario, episodes), controller) for k in range(num_seeds)]
 
     def controller(self, scenario: str, episodes: int) -> Episodes:
         """The controller alone, run once for each scenario and number of episodes."""

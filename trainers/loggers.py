@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
 import secrets
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -18,14 +17,12 @@ from .metrics import STEP_AXIS, Values
 class MetricsLogger(ABC):
     """A sink for metrics and media.
 
-    ``start`` is called once with the run's directory, its configuration and the environment step from which the run goes
-    on (0 for a new run); after it ``log`` is called with increasing steps.
+    ``start`` is called once with the run's directory, its configuration and the environment step from which the run
+    goes on (0 for a new run); after it ``log`` is called with increasing steps.
     """
 
     @abstractmethod
-    def start(
-        self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int
-    ) -> None:
+    def start(self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int) -> None:
         """Open the sink; forget what was logged after ``env_steps``."""
 
     @abstractmethod
@@ -40,13 +37,11 @@ class MetricsLogger(ABC):
 
 
 class CSVLogger(MetricsLogger):
-    """``metrics.csv`` with the columns ``env_steps, seed, metric, value``: the run's own record, read by the plots."""
+    """``metrics.csv`` with columns ``env_steps, seed, metric, value``: the run's own record, read by the plots."""
 
     FILE = "metrics.csv"
 
-    def start(
-        self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int
-    ) -> None:
+    def start(self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int) -> None:
         """Open the file; a resumed run keeps the rows up to ``env_steps``."""
         path = run_dir / self.FILE
         self.seeds = seeds
@@ -56,7 +51,7 @@ class CSVLogger(MetricsLogger):
             writer = csv.writer(file)
             writer.writerow([STEP_AXIS, "seed", "metric", "value"])
             writer.writerows(rows)
-        os.replace(partial, path)
+        partial.replace(path)
         self.file: TextIO = path.open("a", newline="")
         self.writer = csv.writer(self.file)
 
@@ -75,16 +70,12 @@ class CSVLogger(MetricsLogger):
 class TensorBoardLogger(MetricsLogger):
     """Event files under ``tensorboard/``: the mean over seeds, and each seed of a stack beside it."""
 
-    def start(
-        self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int
-    ) -> None:
+    def start(self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int) -> None:
         """Open the event file; TensorBoard drops what lies after ``env_steps``."""
         from torch.utils.tensorboard import SummaryWriter
 
         self.seeds = seeds
-        self.writer = SummaryWriter(
-            str(run_dir / "tensorboard"), purge_step=env_steps + 1 if env_steps else None
-        )
+        self.writer = SummaryWriter(str(run_dir / "tensorboard"), purge_step=env_steps + 1 if env_steps else None)
 
     def log(self, values: Values, env_steps: int) -> None:
         """Write scalars."""
@@ -115,6 +106,7 @@ class WandbLogger(MetricsLogger):
         group: groups runs, for instance by experiment.
         tags: labels of the run.
         name: the run's display name; the name of its directory when left out.
+
     """
 
     def __init__(
@@ -128,9 +120,7 @@ class WandbLogger(MetricsLogger):
         self.project, self.online, self.group = project, online, group
         self.tags, self.name = list(tags), name
 
-    def start(
-        self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int
-    ) -> None:
+    def start(self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int) -> None:
         """Start or continue the W&B run."""
         import wandb
 
@@ -175,9 +165,7 @@ def flatten(values: Values, seeds: Sequence[int]) -> dict[str, float]:
     for metric, per_seed in values.items():
         out[metric] = float(np.mean(per_seed))
         if len(seeds) > 1:
-            out |= {
-                f"{metric}/seed_{s}": float(v) for s, v in zip(seeds, per_seed, strict=True)
-            }
+            out |= {f"{metric}/seed_{s}": float(v) for s, v in zip(seeds, per_seed, strict=True)}
     return out
 
 

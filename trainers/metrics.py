@@ -23,7 +23,7 @@ ACTION = "action"
 """The split of work: ``action/residual_rms``, ``action/residual_share``, ``action/clip_fraction``."""
 
 TIME = "time"
-"""Wall clock: ``time/steps_per_second`` and the seconds spent in ``time/collect``, ``store``, ``update``, ``evaluate``."""
+"""Seconds since the last row: ``time/collect``, ``store``, ``sample``, ``update``, ``evaluate``, ``checkpoint``."""
 
 
 def name(group: str, *parts: str) -> str:

@@ -32,6 +32,7 @@ def mcnemar(rescues: int, regressions: int) -> float:
     Args:
         rescues: episodes that the controller fails and the residual solves.
         regressions: episodes that the controller solves and the residual fails.
+
     """
     changed = rescues + regressions
     return float(stats.binomtest(rescues, changed, 0.5).pvalue) if changed else 1.0

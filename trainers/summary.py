@@ -27,9 +27,7 @@ COLUMNS = (
 
 def rows(results: Results, seeds: Sequence[int]) -> list[list[str]]:
     """One row of text per scenario, for ``COLUMNS``; returns stand in where the environment knows no success."""
-    return [
-        [scenario, *_cells(comparisons)] for scenario, comparisons in results.items() if comparisons
-    ]
+    return [[scenario, *_cells(comparisons)] for scenario, comparisons in results.items() if comparisons]
 
 
 def _cells(comparisons: Sequence[Comparison]) -> list[str]:
@@ -95,10 +93,7 @@ def caption(results: Results, seeds: Sequence[int]) -> str:
 def write_results(results: Results, seeds: Sequence[int], run_dir: Path) -> None:
     """Write ``results.json`` (every summary of every seed) and ``results.md`` (the table)."""
     content = {
-        scenario: {
-            str(seed): comparison.summary()
-            for seed, comparison in zip(seeds, comparisons, strict=True)
-        }
+        scenario: {str(seed): comparison.summary() for seed, comparison in zip(seeds, comparisons, strict=True)}
         for scenario, comparisons in results.items()
     }
     (run_dir / "results.json").write_text(json.dumps(content, indent=2) + "\n")

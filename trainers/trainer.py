@@ -12,6 +12,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.collectors import Collector
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.envs.transforms import InitTracker
 from torchrl.envs.utils import ExplorationType
 
 from rrl.keys import ACTION, OBSERVATION
@@ -19,7 +20,7 @@ from rrl.random import seed_env
 from rrl.replay import StackedSampler
 
 from . import metrics
-from .checkpointing import Checkpoints, Holder, ReplayContent
+from .checkpointing import Checkpoints, EnvironmentState, Holder, ReplayContent
 from .config import TrainerSettings
 from .diagnostics import experience_metrics
 from .environment import EnvironmentFactory
@@ -54,6 +55,7 @@ class Trainer:
         loggers: sinks for metrics.
         config: what the loggers record as the run's configuration.
         progress: shows how far the run is.
+
     """
 
     def __init__(
@@ -71,6 +73,7 @@ class Trainer:
     ) -> None:
         self.settings, self.run_dir = settings, run_dir
         self.loggers, self.config = list(loggers), dict(config or {})
+        self._started: list[MetricsLogger] = []
         self.progress = progress or Progress.silent()
         self.stopwatch = Stopwatch()
         _configure_torch(settings)
@@ -88,6 +91,8 @@ class Trainer:
             seed=settings.seed,
         )
         self.exploration = exploration(spec=action_spec, num_slots=num_envs, seed=first_seed)
+        if "is_init" in self.exploration.in_keys:
+            self.env.append_transform(InitTracker())
         self.behaviour = TensorDictSequential(self.agent.policy, self.exploration)
         self.collector = Collector(
             self.env,
@@ -96,6 +101,7 @@ class Trainer:
             track_traj_ids=False,
             use_buffers=False,
             trust_policy=True,
+            auto_register_policy_transforms=False,
             exploration_type=ExplorationType.RANDOM,
         )
         self.sampler = StackedSampler(settings.num_seeds, settings.seed, settings.batch_size)
@@ -111,7 +117,7 @@ class Trainer:
             {
                 "agent": self.agent,
                 "exploration": self.exploration,
-                "environment": self.env,
+                "environment": EnvironmentState(self.env),
                 "collector": CarriedObservation(self.collector),
                 "replay": ReplayContent(self.replay),
                 "sampler": self.sampler,
@@ -129,6 +135,7 @@ class Trainer:
 
         Raises:
             FileNotFoundError: if there is none.
+
         """
         return self.checkpoints.load_latest()
 
@@ -137,10 +144,12 @@ class Trainer:
 
         Returns:
             For every scenario one comparison with the controller per seed.
+
         """
         settings = self.settings
         for logger in self.loggers:
             logger.start(self.run_dir, self.config, settings.seeds, self.env_steps)
+            self._started.append(logger)
         with self.progress.training(settings.total_steps, self.env_steps):
             if self.env_steps == 0:
                 self._evaluate()
@@ -155,7 +164,7 @@ class Trainer:
 
     def close(self) -> None:
         """Finish the loggers and close the environments."""
-        for logger in self.loggers:
+        for logger in self._started:
             logger.finish()
         self.evaluator.close()
         self.collector.shutdown()
@@ -181,9 +190,7 @@ class Trainer:
 
     def _collect(self) -> TensorDictBase:
         explores = self.settings.warmup_exploration or self.env_steps >= self.settings.warmup_steps
-        self.collector.exploration_type = (
-            ExplorationType.RANDOM if explores else ExplorationType.DETERMINISTIC
-        )
+        self.collector.exploration_type = ExplorationType.RANDOM if explores else ExplorationType.DETERMINISTIC
         return self.collector.rollout()
 
     def _transitions(self, data: TensorDictBase) -> TensorDictBase:

@@ -1,3 +1,8 @@
 """placeholder"""
+
+
 class RenderingUnavailable(RuntimeError): ...
-def render_comparison(*a): raise RenderingUnavailable("x")
+
+
+def render_comparison(*a):
+    raise RenderingUnavailable("x")

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
 from torch import Tensor, nn
 from torchrl.objectives import SoftUpdate, TD3Loss
@@ -14,7 +14,7 @@ from torchrl.objectives.utils import ValueEstimators
 
 from rrl.adam import Adam
 from rrl.compilation import compile_update
-from rrl.keys import ACTION, OBSERVATION
+from rrl.keys import ACTION
 from rrl.networks import StackedMLP
 from rrl.random import SlotGenerators
 
@@ -95,7 +95,7 @@ class TD3(nn.Module):
 
         in_size = sum(input_sizes.values())
         generators = [torch.Generator().manual_seed(seed + k) for k in range(num_seeds)]
-        self._actor_arguments = {
+        self._actor_arguments: dict[str, Any] = {
             "in_features": in_size,
             "out_features": action_size,
             "hidden": list(hidden),
@@ -121,9 +121,7 @@ class TD3(nn.Module):
             ),
             # a list keeps each critic's own initialisation: TD3Loss would redraw copies of a single one
             [
-                TensorDictModule(
-                    critic, in_keys=[*self.input_keys, ACTION], out_keys=["state_action_value"]
-                )
+                TensorDictModule(critic, in_keys=[*self.input_keys, ACTION], out_keys=["state_action_value"])
                 for critic in critics
             ],
             bounds=(-1.0, 1.0),
@@ -181,7 +179,7 @@ class TD3(nn.Module):
         return {name: sums[name] / counts[name] for name in sums}
 
     def _draw_smoothing(self, shape: torch.Size) -> Tensor:
-        k, num_seeds, batch, size = shape
+        k, _, batch, size = shape
         noise = self._smoothing.normal((k, batch, size))  # (S, k, B, n_act)
         clip = self.target_noise_clip
         return (noise * self.target_noise).clamp_(-clip, clip).transpose(0, 1)

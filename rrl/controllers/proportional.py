@@ -58,6 +58,7 @@ class ProportionalController(Controller):
         """Return the clipped proportional action ``[*batch, n]``."""
         position = self.read(tensordict, self.position_key)
         goal = self.read(tensordict, self.goal_key)
-        check_same_shape(self, position, goal, self._gain)
-        action = (goal - position) * self._gain
-        return action if self._high is None else torch.clamp(action, self._low, self._high)
+        gain, low, high = self._gain, self._low, self._high
+        check_same_shape(self, position, goal, gain, gain if high is None else high)
+        action = (goal - position) * gain
+        return action if high is None else torch.clamp(action, low, high)

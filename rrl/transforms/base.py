@@ -35,12 +35,6 @@ class SlotTransform(Transform):
                 table[name] = copy.deepcopy(value)
         return twin
 
-    def _reset_on_native_autoreset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        # An environment that reset itself within a step is reset by mask like any other.
-        return self._reset(tensordict, tensordict_reset)
-
     def require(self, tensordict: TensorDictBase, key: NestedKey, hint: str = "") -> Tensor:
         """Return an entry, or raise a KeyError that says what there is instead."""
         value = tensordict.get(key, None)

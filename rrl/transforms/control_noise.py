@@ -113,9 +113,7 @@ class ControlNoise(ActionTransform, RandomTransform):
         self._executed = tensordict.get(self._executed_key)
         return next_tensordict.set(self._executed_key, self._executed)
 
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         batch = tensordict_reset.batch_size
         mask = reset_mask(tensordict, batch)
         self.start_episodes(batch, mask)
@@ -125,6 +123,12 @@ class ControlNoise(ActionTransform, RandomTransform):
             executed = merge(mask, executed, self._executed)
         self._executed = executed
         return tensordict_reset.set(self._executed_key, executed)
+
+    def _reset_on_native_autoreset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        # An environment that reset itself within a step is reset by mask like any other.
+        return self._reset(tensordict, tensordict_reset)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         return next_tensordict
@@ -136,10 +140,7 @@ class ControlNoise(ActionTransform, RandomTransform):
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the executed action, in the environment's action units."""
         if self._executed_key in observation_spec.keys(True, True):
-            raise ValueError(
-                f"The observations hold {self._executed_key!r} already. Pass another "
-                "executed_action_key."
-            )
+            raise ValueError(f"The observations hold {self._executed_key!r} already. Pass another executed_action_key.")
         limits = self.limits()
         observation_spec[self._executed_key] = Unbounded(
             shape=limits.shape, device=limits.low.device, dtype=limits.dtype
@@ -154,12 +155,3 @@ class ControlNoise(ActionTransform, RandomTransform):
     def _take_limits(self, action_spec: Any) -> ActionLimits:
         self._scaled = None
         return super()._take_limits(action_spec)
-
-    def get_extra_state(self) -> dict[str, Any]:
-        """Return generators and last executed action for ``state_dict``."""
-        return {**super().get_extra_state(), "executed": self._executed}
-
-    def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Take generators and last executed action from a ``state_dict``."""
-        super().set_extra_state(state)
-        self._executed = state["executed"]

@@ -43,8 +43,7 @@ def action_leaf(action_spec: Composite, key: NestedKey) -> TensorSpec:
     spec = action_spec[key]
     if not spec.dtype.is_floating_point:
         raise TypeError(
-            f"A continuous action was expected at {key!r}, got a {type(spec).__name__} spec of "
-            f"dtype {spec.dtype}."
+            f"A continuous action was expected at {key!r}, got a {type(spec).__name__} spec of dtype {spec.dtype}."
         )
     return spec
 

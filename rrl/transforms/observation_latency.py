@@ -54,9 +54,7 @@ class ObservationLatency(RandomTransform):
         if steps < 0 or steps != int(steps):
             raise ValueError(f"steps must be a whole number of at least 0, got {steps!r}.")
         if update_interval < 1 or update_interval != int(update_interval):
-            raise ValueError(
-                f"update_interval must be a whole number of at least 1, got {update_interval!r}."
-            )
+            raise ValueError(f"update_interval must be a whole number of at least 1, got {update_interval!r}.")
         if not 0.0 <= dropout < 1.0:
             raise ValueError(f"dropout must be a probability in [0, 1), got {dropout!r}.")
         super().__init__(
@@ -73,9 +71,7 @@ class ObservationLatency(RandomTransform):
         self._queues: list[Tensor] | None = None
         self._age: Tensor | None = None  # control steps since the reset, int64 (*batch)
 
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         batch = tensordict_reset.batch_size
         mask = reset_mask(tensordict, batch)
         self.start_episodes(batch, mask)
@@ -89,6 +85,14 @@ class ObservationLatency(RandomTransform):
             age = torch.where(mask, age, self._age)
         self._queues, self._age = fresh, age
         return self._deliver(tensordict_reset)
+
+    def _reset_on_native_autoreset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        raise RuntimeError(
+            "ObservationLatency cannot delay an environment that resets itself within a step. "
+            "Build it with native_autoreset=False."
+        )
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         stepped = step_mask(tensordict, next_tensordict.batch_size)

@@ -64,12 +64,12 @@ class ObservationNoise(RandomTransform):
         self._noisy = bool((self.sigma != 0).any())
         self._last: list[Tensor] | None = None
 
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         batch = tensordict_reset.batch_size
         mask = reset_mask(tensordict, batch)
         self.start_episodes(batch, mask)
+        for key in self.in_keys:
+            self._check_lengths(key, self.require(tensordict_reset, key).shape)
         return self._observe(tensordict_reset, mask)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -107,13 +107,16 @@ class ObservationNoise(RandomTransform):
             disturbed = disturbed + noise * self.sigma
         return disturbed
 
+    def _check_lengths(self, key: NestedKey, shape: torch.Size) -> None:
+        size = shape[-1] if shape else 1
+        check_length("sigma", self.sigma, size, f"the observation {key!r}")
+        check_length("bias", self.bias, size, f"the observation {key!r}")
+
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Write the noisy observations' specs, which have no bounds."""
         for in_key, out_key in zip(self.in_keys, self.out_keys, strict=True):
             spec = self.require_spec(observation_spec, in_key)
-            size = spec.shape[-1] if spec.shape else 1
-            check_length("sigma", self.sigma, size, f"the observation {in_key!r}")
-            check_length("bias", self.bias, size, f"the observation {in_key!r}")
+            self._check_lengths(in_key, spec.shape)
             observation_spec[out_key] = unbounded_like(spec)
         return observation_spec
 

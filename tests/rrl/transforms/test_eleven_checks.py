@@ -13,6 +13,7 @@ from torch import nn
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, TransformedEnv, check_env_specs
 from torchrl.envs.transforms import Compose
+
 from toy_envs import PointMass
 from transform_cases import (
     CASES,
@@ -61,13 +62,9 @@ def test_serial_of_transformed(name: str) -> None:
     check_env_specs(SerialEnv(WORKERS, partial(make_env, CASES[name], (3,))))
 
 
-@pytest.mark.parametrize(
-    "factory", [residual_with_memory, control_noise, observation_noise, latency]
-)
+@pytest.mark.parametrize("factory", [residual_with_memory, control_noise, observation_noise, latency])
 def test_parallel_of_transformed(factory: Factory) -> None:
-    env = ParallelEnv(
-        WORKERS, partial(make_env, factory, seed=None), mp_start_method="spawn"
-    )
+    env = ParallelEnv(WORKERS, partial(make_env, factory, seed=None), mp_start_method="spawn")
     actions = random_actions(25, WORKERS, 2)
     try:
         check_env_specs(env)
@@ -111,7 +108,7 @@ def expect_without_env(name: str, transform: nn.Module) -> None:
         if key != "executed_action":
             assert after.get(key).isfinite().all()
     written = {str(key) for key in transform.out_keys}
-    for key in before.keys():
+    for key in before.keys(True, True):
         assert key in written or torch.equal(before[key], after[key])
 
 
@@ -182,4 +179,4 @@ def test_inverse(name: str) -> None:
             CASES[name](0).inv(data)
     else:
         out = CASES[name](0).inv(data)
-        assert all(torch.equal(out[key], data[key]) for key in data.keys())
+        assert all(torch.equal(out[key], data[key]) for key in data.keys(True, True))

@@ -1,0 +1,32 @@
+# Two commands do all of a fresh machine's set-up: `make train` and `make test`.
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+
+.PHONY: train test test-slow lint controllers clean
+
+train: $(VENV)/installed            ## train residual TD3 on the misaligned insertion task, five seeds side by side
+	$(BIN)/rrl train trainer.num_seeds=5
+
+test: $(VENV)/installed             ## the default test suite
+	$(BIN)/pytest -m "not slow" -n 2
+
+test-slow: $(VENV)/installed        ## long training checks
+	$(BIN)/pytest -m slow
+
+lint: $(VENV)/installed             ## style and types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+controllers: $(VENV)/installed      ## score the hand-written controllers on every setting of the task
+	$(BIN)/python benchmarks/controllers.py
+
+$(VENV)/installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --disable-pip-version-check --quiet --constraint constraints.txt torch
+	$(BIN)/pip install --disable-pip-version-check --quiet --constraint constraints.txt --editable ".[dev]"
+	touch $@
+
+clean:                              ## remove what the other targets made, but not outputs/
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache *.egg-info

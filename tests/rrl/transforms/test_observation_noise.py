@@ -1,0 +1,90 @@
+"""Sensor noise: size, sign, specs, and what must be refused."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torchrl.envs import TransformedEnv
+
+from rrl.transforms import ObservationNoise
+from toy_envs import PointMass
+from transform_cases import POSITION, drive, random_actions
+
+
+def errors(noise: ObservationNoise, steps: int, *batch: int) -> torch.Tensor:
+    """Return what is seen minus what is, [T + 1, *batch, 2]."""
+    actions = random_actions(steps, *batch, 2)
+    truth = drive(PointMass(batch), actions)
+    seen = drive(TransformedEnv(PointMass(batch), noise), actions)
+    truth = [truth[0]] + [record["next"] for record in truth[1:]]
+    seen = [seen[0]] + [record["next"] for record in seen[1:]]
+    pairs = zip(truth, seen, strict=True)
+    return torch.stack([b[POSITION] - a[POSITION] for a, b in pairs])
+
+
+def test_sign_and_size_of_the_bias() -> None:
+    out = errors(ObservationNoise([POSITION], bias=[0.1, -0.2]), 5, 3)
+    assert torch.allclose(out, torch.tensor([0.1, -0.2]).expand(6, 3, 2), atol=1e-6)
+
+
+def test_nothing_to_add_changes_nothing() -> None:
+    assert torch.equal(errors(ObservationNoise([POSITION]), 5, 3), torch.zeros(6, 3, 2))
+
+
+def test_mean_and_deviation_from_the_reset_on() -> None:
+    out = errors(ObservationNoise([POSITION], sigma=[0.05, 0.2], bias=0.1, seed=0), 300, 10)
+    assert torch.allclose(out.mean((0, 1)), torch.full((2,), 0.1), atol=0.02)
+    assert torch.allclose(out.std((0, 1)), torch.tensor([0.05, 0.2]), rtol=0.05)
+    assert (out[0] != 0.1).all()
+
+
+def test_reward_and_success_see_the_truth() -> None:
+    actions = random_actions(5, 2)
+    truth = drive(PointMass(), actions)
+    seen = drive(TransformedEnv(PointMass(), ObservationNoise([POSITION], 0.5, seed=0)), actions)
+    for a, b in zip(truth[1:], seen[1:], strict=True):
+        assert torch.equal(a["next", "reward"], b["next", "reward"])
+        assert torch.equal(a["next", "success"], b["next", "success"])
+
+
+def test_bounds_of_a_noisy_observation_are_gone() -> None:
+    env = TransformedEnv(PointMass(), ObservationNoise(["goal"], sigma=10.0, seed=0))
+    assert not hasattr(env.observation_spec["goal"], "low")
+    assert env.observation_spec.is_in(env.reset().select(*env.observation_spec.keys()))
+
+
+def test_out_keys_leave_the_original() -> None:
+    noise = ObservationNoise([POSITION], 0.1, seed=0, out_keys=["seen"])
+    start = TransformedEnv(PointMass(), noise).reset()
+    assert torch.equal(start[POSITION], PointMass().reset()[POSITION])
+    assert not torch.equal(start["seen"], start[POSITION])
+
+
+@pytest.mark.parametrize("values", [{"sigma": -1.0}, {"sigma": float("nan")}, {"bias": [[1.0]]}])
+def test_bad_numbers(values) -> None:
+    with pytest.raises(ValueError, match="must be"):
+        ObservationNoise([POSITION], **values)
+
+
+@pytest.mark.parametrize("keys", [([], None), (["a"], ["b", "c"])])
+def test_bad_keys(keys) -> None:
+    with pytest.raises(ValueError, match="at least one in key"):
+        ObservationNoise(keys[0], out_keys=keys[1])
+
+
+def test_wrong_length() -> None:
+    env = TransformedEnv(PointMass(), ObservationNoise([POSITION], sigma=[0.1, 0.1, 0.1]))
+    with pytest.raises(ValueError, match="sigma has 3 numbers"):
+        env.reset()
+
+
+def test_unknown_observation() -> None:
+    env = TransformedEnv(PointMass(), ObservationNoise(["blocks"]))
+    with pytest.raises(KeyError, match=r"'blocks'.*goal"):
+        env.reset()
+
+
+def test_not_a_number_to_disturb() -> None:
+    env = TransformedEnv(PointMass(), ObservationNoise(["success"]))
+    with pytest.raises(TypeError, match="floating point"):
+        env.reset()

@@ -1,0 +1,57 @@
+"""The house's rules: who may import whom, and what an installation puts where."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+FOLDERS = {"rrl": "rrl", "envs": "rrl.envs", "trainers": "rrl.trainers", "configs": "rrl.configs"}
+FORBIDDEN = {
+    "rrl": {"rrl.envs", "rrl.trainers", "rrl.configs", "hydra", "omegaconf", "wandb", "mujoco"},
+    "envs": {"rrl.trainers", "rrl.configs", "hydra", "omegaconf", "wandb"},
+    "trainers": {"rrl.envs", "mujoco", "dm_control"},
+    "configs": {"rrl", "torch"},
+}
+HYDRA_ONLY_IN = {"cli.py"}
+
+
+def imports(path: Path) -> set[str]:
+    """Absolute names that a file imports, relative ones resolved to nothing."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            found |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def sources() -> list[Path]:
+    return [path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py"))]
+
+
+@pytest.mark.parametrize("path", sources(), ids=lambda p: str(p.relative_to(ROOT)))
+def test_imports_respect_the_layers(path):
+    folder = path.relative_to(ROOT).parts[0]
+    for name in imports(path):
+        top = name.split(".")[0]
+        assert top not in {"envs", "trainers", "configs"}, f"{name}: import it as rrl.{name}"
+        for forbidden in FORBIDDEN[folder]:
+            assert not (name == forbidden or name.startswith(forbidden + ".")), name
+        if top in {"hydra", "omegaconf"}:
+            assert path.name in HYDRA_ONLY_IN
+
+
+def test_every_package_is_declared():
+    declared = (ROOT / "pyproject.toml").read_text()
+    for folder, package in FOLDERS.items():
+        for init in sorted((ROOT / folder).rglob("__init__.py")):
+            name = ".".join([package, *init.parent.relative_to(ROOT / folder).parts])
+            assert f'"{name}"' in declared, f"{name} is missing from [tool.setuptools] packages"
+
+
+def test_every_yaml_lies_in_the_configs_package():
+    assert list((ROOT / "configs").rglob("*.yaml"))
+    for folder in ("rrl", "envs", "trainers"):
+        assert not list((ROOT / folder).rglob("*.yaml"))

@@ -1,0 +1,77 @@
+"""Small runs for the trainer's tests."""
+
+from functools import partial
+
+import pytest
+import torch
+
+from rrl.algorithms import TD3
+from rrl.controllers import ProportionalController
+from rrl.exploration import GaussianExploration
+from rrl.trainers.config import CheckpointSettings, EvaluationSettings, TrainerSettings
+from rrl.trainers.environment import EnvironmentFactory, Input
+from rrl.trainers.loggers import CSVLogger
+from rrl.trainers.trainer import Trainer
+from rrl.transforms import ControlNoise
+from toy_envs import EPISODE_STEPS, PointMass
+
+
+def point_mass(num_envs=1, **arguments):
+    return PointMass([num_envs], **arguments)
+
+
+@pytest.fixture
+def factory():
+    """A drifting point under a proportional controller that does not know the drift."""
+    return EnvironmentFactory(
+        base=point_mass,
+        controller=partial(ProportionalController, gain=10.0, clip=0.5),
+        inputs={"end_effector_position": Input(), "goal": Input()},
+        disturbances=[partial(ControlNoise, sigma=0.05)],
+        max_episode_steps=EPISODE_STEPS,
+    )
+
+
+@pytest.fixture
+def settings():
+    """Builds settings of a short run."""
+
+    def make(**changes):
+        values = {
+            "total_steps": 200,
+            "warmup_steps": 100,
+            "steps_per_collection": EPISODE_STEPS,
+            "batch_size": 32,
+            "evaluation": EvaluationSettings(every=100, episodes=10, final_episodes=10, slots=10),
+            "checkpoint": CheckpointSettings(every=100),
+        }
+        return TrainerSettings(**{**values, **changes})
+
+    return make
+
+
+@pytest.fixture
+def make_trainer(factory, settings, tmp_path):
+    """Builds a trainer on the drifting point, by default with small networks."""
+
+    def make(run_dir="run", environment=None, agent=None, exploration=None, loggers=None, **changes):
+        environment = environment or factory
+        return Trainer(
+            settings(**changes),
+            environment,
+            agent or partial(TD3, hidden=[32, 32], gamma=0.9),
+            exploration or partial(GaussianExploration, sigma=0.3),
+            tmp_path / run_dir,
+            scenarios={"drift": environment},
+            loggers=[CSVLogger()] if loggers is None else loggers,
+        )
+
+    return make
+
+
+@pytest.fixture(autouse=True)
+def _single_thread():
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)

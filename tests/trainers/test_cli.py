@@ -1,0 +1,109 @@
+"""The command line as a user has it: a subprocess, its exit status, what it prints and leaves behind."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SMALL = [
+    "trainer.total_steps=100",
+    "trainer.warmup_steps=50",
+    "algorithm.agent.hidden=[16,16]",
+    "trainer.batch_size=16",
+    "trainer.evaluation.every=50",
+    "trainer.evaluation.episodes=2",
+    "trainer.evaluation.final_episodes=3",
+    "trainer.evaluation.slots=3",
+    "trainer.checkpoint.every=50",
+]
+
+
+def rrl(*arguments, cwd, **variables):
+    return subprocess.run(
+        [sys.executable, "-m", "rrl.trainers", *arguments],
+        cwd=cwd,
+        env={**os.environ, "OMP_NUM_THREADS": "1", **variables},
+        capture_output=True,
+        text=True,
+        timeout=280,
+    )
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A short run of two seeds: the directory it was started in, and what the command printed."""
+    cwd = tmp_path_factory.mktemp("user")
+    result = rrl("train", *SMALL, "trainer.num_seeds=2", cwd=cwd)
+    assert result.returncode == 0, result.stderr
+    return next(cwd.glob("outputs/*/*")), result
+
+
+def test_training_leaves_table_curve_metrics_and_checkpoints(trained):
+    run_dir, result = trained
+    assert "misaligned" in result.stdout
+    assert "aligned" in result.stdout
+    for name in (
+        "config.yaml",
+        "metrics.csv",
+        "results.json",
+        "results.md",
+        "learning_curve.png",
+        "learning_curve.svg",
+    ):
+        assert (run_dir / name).stat().st_size > 0, name
+    assert len(list((run_dir / "checkpoints").iterdir())) == 2
+    assert list((run_dir / "tensorboard").iterdir())
+    assert list((run_dir / "wandb").glob("offline-run-*/*.wandb"))
+    results = json.loads((run_dir / "results.json").read_text())
+    assert set(results) == {"misaligned", "aligned"}
+    assert set(results["aligned"]) == {"0", "1"}
+    assert not result.stderr.strip(), result.stderr
+
+
+def test_evaluate_repeats_the_final_evaluation(trained):
+    run_dir, _ = trained
+    before = (run_dir / "results.json").read_text()
+    result = rrl("evaluate", f"run={run_dir}", cwd=run_dir.parent)
+    assert result.returncode == 0, result.stderr
+    assert (run_dir / "results.json").read_text() == before
+
+
+def test_resume_continues_to_the_new_end(trained):
+    run_dir, _ = trained
+    result = rrl("train", f"resume={run_dir}", "trainer.total_steps=150", "render.enabled=false", cwd=run_dir.parent)
+    assert result.returncode == 0, result.stderr
+    assert "checkpoint-000000000100" in result.stdout.replace("\n", "")
+    steps = {int(line.split(",")[0]) for line in (run_dir / "metrics.csv").read_text().splitlines()[1:]}
+    assert steps == {0, 50, 100, 150}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["trian"], "unknown command 'trian'"),
+        (["train", "trainer.sede=3"], "sede"),
+        (["train", "trainer.num_seeds=-1"], "trainer.num_seeds"),
+        (["train", "trainer.total_steps=500"], "warmup_steps (1000) leaves nothing"),
+        (["train", "env=insertion-mars"], "insertion-mars"),
+        (["train", "+algorithm.agent.learning_rate=0.1"], "does not take 'learning_rate'"),
+        (["train", "+env.base.clearence=0.1"], "clearance"),
+        (["train", "env.base._target_=nowhere.Env"], "nowhere.Env"),
+        (["evaluate"], "expected run=DIRECTORY"),
+        (["evaluate", "run=missing"], "no config.yaml"),
+    ],
+)
+def test_a_bad_call_ends_with_one_clear_message(arguments, message, tmp_path):
+    result = rrl(*arguments, cwd=tmp_path)
+    assert result.returncode == 2
+    assert message in result.stderr.replace("\n", " ")
+    assert "Traceback" not in result.stderr
+    assert not Path(tmp_path, "wandb").exists()
+
+
+def test_help_comes_without_a_configuration(tmp_path):
+    result = rrl("--help", cwd=tmp_path)
+    assert result.returncode == 0
+    assert "rrl train" in result.stdout

@@ -1,0 +1,5 @@
+"""Names of what lies in a run's directory; light to import."""
+
+CONFIG_FILE = "config.yaml"
+CHECKPOINTS = "checkpoints"
+VIDEOS = "videos"
