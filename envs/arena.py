@@ -102,9 +102,9 @@ class PlatformArena(composer.Arena):
     def _add_cameras(self, goal_xy: tuple[float, float]) -> None:
         x, y = goal_xy
         target = self._mjcf_root.worldbody.add("body", name="camera_target", pos=(x, y, 0.09))
-        middle = self._mjcf_root.worldbody.add("body", name="arm_target", pos=(x - 0.24, y, 0.22))
+        middle = self._mjcf_root.worldbody.add("body", name="arm_target", pos=(x - 0.24, y, 0.27))
         for name, position, aim, fovy in (
-            ("overview", (x + 0.45, y - 1.35, 0.62), middle, 38),
+            ("overview", (x + 0.50, y - 1.60, 0.62), middle, 40),
             ("closeup", (x + 0.16, y - 0.50, 0.26), target, 38),
             ("front", (x + 0.75, y - 0.12, 0.30), target, 38),
         ):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import mujoco
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -144,17 +145,27 @@ class InsertionEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         action = tensordict.get("action").detach().numpy().astype(np.float64)
         action = check_action(action, self.num_envs)
+        active = self._active(tensordict)
         simulation = self._simulation
         signals = simulation.start.layout.views(simulation.sensors)
         controls = set_points(signals, action, self.config, simulation.start.home)
-        trace, diverged = simulation.step(controls)
-        if diverged.any():
-            self.num_diverged += int(diverged.sum())
-            self._measure(trace[~diverged], ~diverged)
-        else:
+        trace, diverged = simulation.step(controls, active)
+        if active is None and not diverged.any():
             self._measure(trace, slice(None))
-        self._steps += 1
+            self._steps += 1
+        else:
+            stepped = np.ones(self.num_envs, dtype=bool) if active is None else active
+            self.num_diverged += int(diverged.sum())
+            self._measure(trace[stepped & ~diverged], stepped & ~diverged)
+            self._steps += stepped
         return self._output(diverged, (self._steps >= self.config.episode_length) | diverged)
+
+    def _active(self, tensordict: TensorDictBase) -> np.ndarray | None:
+        """Slots that take this step, from TorchRL's ``_step`` mask; ``None`` for all."""
+        mask = tensordict.get("_step", None)
+        if mask is None or bool(mask.all()):
+            return None
+        return mask.reshape(self.num_envs).numpy()
 
     def _output(self, diverged: np.ndarray, truncated: np.ndarray | None) -> TensorDictBase:
         """Everything that is written; with reward and done where ``truncated`` is given."""
@@ -167,7 +178,9 @@ class InsertionEnv(EnvBase):
         entries["diverged"] = torch.from_numpy(diverged[:, None])
         entries["contact_force"] = _tensor(m.contact_force[:, None])
         entries["tilt"] = _tensor(m.inclination.max(axis=1)[:, None])
-        entries["reward_terms"] = {name: _tensor(v[:, None]) for name, v in terms.items()}
+        entries["reward_terms"] = self._pack(
+            {name: _tensor(value[:, None]) for name, value in terms.items()}
+        )
         terminated = np.zeros((self.num_envs, 1), dtype=bool)
         done = terminated.copy() if truncated is None else truncated[:, None]
         entries["terminated"] = torch.from_numpy(terminated)
@@ -175,13 +188,64 @@ class InsertionEnv(EnvBase):
         entries["done"] = torch.from_numpy(done.copy())
         if truncated is not None:
             entries["reward"] = _tensor(sum(terms.values())[:, None])
-        return TensorDict(entries, batch_size=self.batch_size)
+        return self._pack(entries)
+
+    def _pack(self, entries: dict[str, Any]) -> TensorDict:
+        # The entries are right by construction; checking each would cost as much as the physics.
+        return TensorDict._new_unsafe(entries, batch_size=self.batch_size, device=self.device)
 
     # ---------------------------------------------------------------- state
 
     def physics_state(self) -> np.ndarray:
         """Full physics states [num_envs, nstate]: time, positions, velocities. A copy."""
         return self._simulation.state.copy()
+
+    def slot_model(self, slot: int) -> mujoco.MjModel:
+        """The MuJoCo model of one slot, for rendering its physics states."""
+        return self._simulation.slot_model(slot)
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """Everything that a run needs to go on in the middle of an episode, bit for bit.
+
+        Part of ``state_dict()``: physics, step counters, last measurement and random generators.
+        """
+        simulation = self._simulation
+        return {
+            "physics": torch.from_numpy(simulation.state.copy()),
+            "sensors": torch.from_numpy(simulation.sensors.copy()),
+            "yaw": torch.from_numpy(simulation.yaw.copy()),
+            "steps": torch.from_numpy(self._steps.copy()),
+            "measurement": {
+                name: torch.from_numpy(value.copy())
+                for name, value in self._measurement._asdict().items()
+            },
+            "generators": [generator.bit_generator.state for generator in self._generators],
+            "num_diverged": self.num_diverged,
+        }
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Restores what :meth:`get_extra_state` gave.
+
+        Raises:
+            ValueError: a state of another number of environments or another variant.
+        """
+        simulation = self._simulation
+        if tuple(state["physics"].shape) != simulation.state.shape:
+            raise ValueError(
+                f"the saved state has physics of shape {tuple(state['physics'].shape)} "
+                f"(environments, state), this environment {simulation.state.shape}: make the "
+                "environment with the same variant and num_envs"
+            )
+        simulation.state[:] = state["physics"].numpy()
+        simulation.sensors[:] = state["sensors"].numpy()
+        for slot, yaw in enumerate(state["yaw"].numpy()):
+            simulation.set_yaw(slot, yaw)
+        self._steps[:] = state["steps"].numpy()
+        for name, value in self._measurement._asdict().items():
+            value[:] = state["measurement"][name].numpy()
+        for generator, saved in zip(self._generators, state["generators"], strict=True):
+            generator.bit_generator.state = saved
+        self.num_diverged = int(state["num_diverged"])
 
     def close(self, **kwargs: Any) -> None:
         """Ends the physics threads."""

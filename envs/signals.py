@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import mujoco
@@ -66,27 +66,45 @@ def add_sensors(root: Any, arm: Any, tool_site: Any, held: Any, blocks: list[Any
 
 
 class SignalLayout:
-    """Where each signal lies in ``sensordata``."""
+    """Where each signal lies in ``sensordata``.
+
+    Args:
+        model: compiled model with the sensors of :func:`add_sensors`.
+    """
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        self._slices: dict[str, tuple[slice, tuple[int, ...]]] = {}
+        self.places: dict[str, tuple[slice, tuple[int, ...]]] = {}
         for index in range(model.nsensor):
             name, _, item = model.sensor(index).name.partition(".")
             start, size = int(model.sensor_adr[index]), int(model.sensor_dim[index])
             shape: tuple[int, ...] = (size,)
             if item:
-                first = self._slices[name][0].start if int(item) else start
                 shape = (int(item) + 1, size) if size > 1 else (int(item) + 1,)
-                self._slices[name] = (slice(first, start + size), shape)
-            else:
-                self._slices[name] = (slice(start, start + size), shape)
+            first = self.places[name][0].start if name in self.places else start
+            self.places[name] = (slice(first, start + size), shape)
         self.size = int(model.nsensordata)
 
-    def views(self, sensordata: np.ndarray) -> dict[str, np.ndarray]:
+    def views(self, sensordata: np.ndarray) -> Signals:
         """Named views [..., *shape] into ``sensordata`` [..., size]; nothing is copied."""
-        lead = sensordata.shape[:-1]
-        return {
-            name: sensordata[..., where].reshape(*lead, *shape) if len(shape) > 1
-            else sensordata[..., where]
-            for name, (where, shape) in self._slices.items()
-        }  # fmt: skip
+        return SignalViews(self.places, sensordata)
+
+
+class SignalViews(Mapping[str, np.ndarray]):
+    """Views that are made when they are asked for: a control step looks at a few of them only."""
+
+    def __init__(
+        self, places: Mapping[str, tuple[slice, tuple[int, ...]]], sensordata: np.ndarray
+    ) -> None:
+        self._places = places
+        self._sensordata = sensordata
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        where, shape = self._places[name]
+        view = self._sensordata[..., where]
+        return view if len(shape) == 1 else view.reshape(*view.shape[:-1], *shape)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)

@@ -29,6 +29,8 @@ class BatchSimulation:
 
     Attributes:
         state: [B, nstate] full physics state: time, positions, velocities.
+        sensors: [B, n] sensordata of the last substep.
+        yaw: [B, 2] yaw of the left and right standing block at the last reset, rad.
         start: the nominal start of an episode.
     """
 
@@ -46,6 +48,7 @@ class BatchSimulation:
         steps, size = config.substeps, mujoco.mj_stateSize(model, STATE)
         self.state = np.zeros((num_envs, size))
         self.sensors = np.zeros((num_envs, self.start.layout.size))
+        self.yaw = np.zeros((num_envs, 2))
         self._states = np.zeros((num_envs, steps, size))
         self._trace = np.zeros((num_envs, steps, self.start.layout.size))
         self._controls = np.zeros((num_envs, steps, model.nu))
@@ -62,17 +65,25 @@ class BatchSimulation:
     def reset(self, slot: int, episode: Episode) -> np.ndarray:
         """Starts ``episode`` in a slot; returns its sensors as a trace of one substep [1, n]."""
         model, data = self._models[slot], self._data[0]
-        self.start.set_yaw(model, episode.yaw)
+        self.set_yaw(slot, episode.yaw)
         self.start.hold(model, data, self.start.qpos(model, episode))
         mujoco.mj_getState(model, data, self.state[slot], STATE)
         self.sensors[slot] = data.sensordata
         return data.sensordata.copy()[None]
 
-    def step(self, controls: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Advances every environment by one control step.
+    def set_yaw(self, slot: int, yaw: np.ndarray) -> None:
+        """Sets the episode's yaw [2] of a slot."""
+        self.yaw[slot] = yaw
+        self.start.set_yaw(self._models[slot], yaw)
+
+    def step(
+        self, controls: np.ndarray, active: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Advances the environments by one control step.
 
         Args:
             controls: [B, nu], held during the step.
+            active: [B] which environments take the step; ``None`` for all.
 
         Returns:
             The sensors of every substep [B, substeps, n] (overwritten by the next call), and which
@@ -92,8 +103,10 @@ class BatchSimulation:
         )
         last = self._states[:, -1]
         diverged = self._diverged(last)
-        if diverged.any():
-            fine = ~diverged
+        if active is not None:
+            diverged &= active
+        if active is not None or diverged.any():
+            fine = ~diverged if active is None else active & ~diverged
             self.state[fine] = last[fine]
             self.sensors[fine] = self._trace[fine, -1]
         else:

@@ -11,9 +11,12 @@ from dm_control import composer
 from dm_control.composer.observation import observable
 from dm_env import specs
 
+from rrl.keys import DIVERGED, REWARD_TERMS, SUCCESS
+
 from . import quantities
 from .config import InsertionConfig
 from .control import check_action, set_points
+from .quantities import Measurement
 from .scene import build_scene
 from .start import StartState, draw_episode
 
@@ -35,7 +38,8 @@ class InsertionTask(composer.Task):
         self._start: StartState | None = None
         self._trace: list[np.ndarray] = []
         self._sensors = np.zeros(0)
-        self._measurement: quantities.Measurement | None = None
+        self._measurement: Measurement | None = None
+        self._diverged = False
         self.num_diverged = 0
         self.set_timesteps(config.control_timestep, config.physics_timestep)
         self._observables = self._make_observables()
@@ -51,26 +55,33 @@ class InsertionTask(composer.Task):
         return self._observables
 
     @property
-    def measurement(self) -> quantities.Measurement:
+    def measurement(self) -> Measurement:
         """What the last control step showed, batch of one."""
         if self._measurement is None:
             raise RuntimeError("nothing has been measured yet: reset the environment first")
         return self._measurement
 
     def _make_observables(self) -> OrderedDict:
-        def pick(name: str) -> Callable[[Any], np.ndarray]:
-            return lambda physics: quantities.observation(self.measurement, self.config)[name][0]
+        config = self.config
 
-        entries: dict[str, Callable[[Any], Any]] = {
-            name: pick(name) for name in quantities.observation_sizes(self.config)
-        }
-        entries["contact_force"] = lambda physics: self.measurement.contact_force.copy()
-        entries["tilt"] = lambda physics: self.measurement.inclination.max(axis=-1)
-        entries["success"] = lambda physics: quantities.success(self.measurement, self.config)
-        result = OrderedDict()
-        for name, function in entries.items():
-            result[name] = observable.Generic(function)
-            result[name].enabled = True
+        def entry(function: Callable[[Measurement], np.ndarray]) -> observable.Generic:
+            result = observable.Generic(lambda physics: function(self.measurement))
+            result.enabled = True
+            return result
+
+        def part(name: str) -> observable.Generic:
+            return entry(lambda m: quantities.observation(m, config)[name][0])
+
+        def term(name: str) -> observable.Generic:
+            return entry(lambda m: quantities.reward_terms(m, config)[name])
+
+        result = OrderedDict((name, part(name)) for name in quantities.observation_sizes(config))
+        result["contact_force"] = entry(lambda m: m.contact_force.copy())
+        result["tilt"] = entry(lambda m: m.inclination.max(axis=-1))
+        result[SUCCESS] = entry(lambda m: quantities.success(m, config))
+        result[DIVERGED] = entry(lambda m: np.array([self._diverged]))
+        for name in quantities.reward_term_names(config):
+            result[f"{REWARD_TERMS}/{name}"] = term(name)
         return result
 
     def action_spec(self, physics: Any) -> specs.BoundedArray:
@@ -90,6 +101,8 @@ class InsertionTask(composer.Task):
         """Draws an episode and puts the physics at its start."""
         model, data = physics.model.ptr, physics.data.ptr
         episode = draw_episode(self.config, random_state)
+        self._diverged = False
+        self._trace = []
         self.start.set_yaw(model, episode.yaw)
         self.start.hold(model, data, self.start.qpos(model, episode))
         self._measure(physics)
@@ -126,10 +139,12 @@ class InsertionTask(composer.Task):
     def after_step(self, physics: Any, random_state: np.random.RandomState) -> None:
         """Measures the end of the control step; a diverged one leaves the last measurement."""
         del random_state
-        if len(self._trace) == self.config.substeps and not diverged(physics, self.config):
-            self._measure(physics)
-        else:
+        complete = len(self._trace) == self.config.substeps
+        self._diverged = not complete or _has_diverged(physics, self.config)
+        if self._diverged:
             self.num_diverged += 1
+        else:
+            self._measure(physics)
 
     def _measure(self, physics: Any) -> None:
         trace = np.array(self._trace) if self._trace else physics.data.sensordata.copy()[None]
@@ -145,11 +160,12 @@ class InsertionTask(composer.Task):
 
     def should_terminate_episode(self, physics: Any) -> bool:
         """Only diverged physics ends an episode before its time."""
-        return diverged(physics, self.config)
+        del physics
+        return self._diverged
 
 
-def diverged(physics: Any, config: InsertionConfig) -> bool:
+def _has_diverged(physics: Any, config: InsertionConfig) -> bool:
     """Whether the state is not finite or moves impossibly fast."""
     velocity = physics.data.qvel
-    fine = np.isfinite(physics.data.qpos).all() and np.isfinite(velocity).all()
-    return not (fine and np.abs(velocity).max() <= config.velocity_limit)
+    finite = np.isfinite(physics.data.qpos).all() and np.isfinite(velocity).all()
+    return not (finite and np.abs(velocity).max() <= config.velocity_limit)

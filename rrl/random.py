@@ -152,7 +152,8 @@ def seed_env(env: EnvBase, seed: int) -> None:
     ``env.set_seed`` alone does not reach transforms in the same process. In a ``SerialEnv`` the
     environments are seeded ``seed``, ``seed + 1``, ... (one number a slot), so that it equals a
     batched environment with the same seed. The workers of a ``ParallelEnv`` cannot be reached:
-    transforms in there follow ``set_seed`` if they were built with ``seed=None``.
+    transforms in there follow ``set_seed`` if they were built with ``seed=None``. (Forked workers
+    that nobody seeds share torch's state and draw the same numbers.)
 
     Args:
         env: Any TorchRL environment, transformed or not.

@@ -119,7 +119,6 @@ def test_state_dict_restores_the_next_update_to_the_last_bit():
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # the compiler warns of its own doings
 def test_the_compiled_update_equals_the_eager_one():
     eager, compiled = make(2, last_layer_bound=0.1), make(2, last_layer_bound=0.1, compiled=True)
