@@ -16,10 +16,10 @@ from rrl.keys import REWARD_TERMS
 class ComposerEnv(DMControlWrapper):
     """A :class:`dm_control.composer.Environment` with ``batch_size []``, in float32.
 
-    Reads ``action``; writes the environment's observables under their own names, ``reward`` [1], ``done``, ``terminated`` and ``truncated`` [1]. An episode that
-    ends with discount 1, at the time limit for instance, is truncated. For our own task it also writes
-    what :class:`~rrl.envs.InsertionEnv` writes: ``success``, ``diverged``, ``tilt``,
-    ``contact_force`` and ``("reward_terms", name)``.
+    Reads ``action``; writes the environment's observables under their own names, ``reward`` [1],
+    ``done``, ``terminated`` and ``truncated`` [1]. An episode that ends with discount 1, at the time
+    limit for instance, is truncated. Our own task's keys are those of
+    :class:`~rrl.envs.InsertionEnv`, with ``("reward_terms", name)`` nested.
 
     Args:
         env: a composer environment, for instance ``rrl.envs.load("insertion-real")`` or
@@ -46,12 +46,12 @@ class ComposerEnv(DMControlWrapper):
 
     def _make_specs(self, env: composer.Environment) -> None:
         super()._make_specs(env)
-        specs: dict[Any, TensorSpec] = {}
-        for name, spec in self.observation_spec.items():
-            specs[_key(name)] = _cast(spec)
-        self.observation_spec = _composite(specs)
-        self.reward_spec = _cast(self.reward_spec)
-        self.action_spec = _cast(self.action_spec)
+        observation = Composite()
+        for name, spec in self.full_observation_spec.items():
+            observation[_key(name)] = _cast(spec)
+        self.observation_spec = observation
+        self.reward_spec = _cast(self.full_reward_spec["reward"])
+        self.action_spec = _cast(self.full_action_spec["action"])
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is not None:
@@ -75,13 +75,6 @@ def _key(name: str) -> str | tuple[str, str]:
     """Our own reward terms are nested; other names keep their slashes."""
     group, _, item = name.partition("/")
     return (group, item) if group == REWARD_TERMS and item else name
-
-
-def _composite(specs: dict[Any, TensorSpec]) -> Composite:
-    result = Composite()
-    for key, spec in specs.items():
-        result[key] = spec
-    return result
 
 
 def _cast(spec: TensorSpec) -> TensorSpec:

@@ -90,11 +90,11 @@ class InsertionConfig:
 
     # Reward weights (equations 4 and 5 of the paper).
     tilt_weight: float = 0.1
-    """lambda, on \\|theta_l\\| + \\|theta_r\\|."""
+    """lambda, on |theta_l| + |theta_r|."""
     displacement_weight: float = 0.0
     """mu, on the distance of the standing blocks from their desired positions."""
     yaw_weight: float = 0.0
-    """beta, on \\|phi_l\\| + \\|phi_r\\|."""
+    """beta, on |phi_l| + |phi_r|."""
 
     # Success.
     position_tolerance: float = 0.012
@@ -154,9 +154,7 @@ PRESETS: dict[str, InsertionConfig] = {
 }
 
 
-def make_config(
-    variant: str | InsertionConfig, overrides: Mapping[str, Any] | None = None
-) -> InsertionConfig:
+def make_config(variant: str | InsertionConfig, overrides: Mapping[str, Any] | None = None) -> InsertionConfig:
     """The preset ``variant``, or the config itself, with some fields replaced; lists become tuples.
 
     Overriding ``yaw_range`` alone puts it in the place of the preset's ``yaw_choices``.
@@ -196,15 +194,36 @@ def _check_choices(config: InsertionConfig) -> None:
 
 
 _POSITIVE = (
-    "held_half_size standing_half_size standing_mass held_mass action_scale cartesian_stiffness "
-    "force_limit joint_stiffness physics_timestep start_height position_tolerance "
-    "tilt_tolerance velocity_limit"
-).split()
+    "held_half_size",
+    "standing_half_size",
+    "standing_mass",
+    "held_mass",
+    "action_scale",
+    "cartesian_stiffness",
+    "force_limit",
+    "joint_stiffness",
+    "physics_timestep",
+    "start_height",
+    "position_tolerance",
+    "tilt_tolerance",
+    "velocity_limit",
+)
 _NOT_NEGATIVE = (
-    "chamfer clearance start_range yaw_range platform_friction standing_friction held_friction "
-    "cartesian_damping joint_damping ik_rotation_gain ik_posture_gain tilt_weight "
-    "displacement_weight yaw_weight"
-).split()
+    "chamfer",
+    "clearance",
+    "start_range",
+    "yaw_range",
+    "platform_friction",
+    "standing_friction",
+    "held_friction",
+    "cartesian_damping",
+    "joint_damping",
+    "ik_rotation_gain",
+    "ik_posture_gain",
+    "tilt_weight",
+    "displacement_weight",
+    "yaw_weight",
+)
 _ANY_SIGN = ("goal_xy", "yaw_choices")
 _LENGTHS = {
     "held_half_size": 3,
@@ -268,7 +287,7 @@ def _check_geometry(config: InsertionConfig) -> None:
         )
     x, y = config.goal_xy
     distance = math.hypot(x, y, config.goal[2] + config.start_height)
-    if not 0.4 <= math.hypot(x, y) or distance > 0.85:
+    if math.hypot(x, y) < 0.4 or distance > 0.85:
         raise ValueError(
             f"goal_xy {config.goal_xy} is out of the arm's reach: the goal must be 0.4 m or more "
             f"from the robot's axis and the start within 0.85 m of its base, got {distance:.2f} m"

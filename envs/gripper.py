@@ -36,19 +36,16 @@ class ParallelGripper(composer.Entity):
                 f"{opening:.4f} m wide (twice the x of held_half_size)"
             )
         self._root = mjcf.RootElement(model=name)
+        self._root.compiler.angle = "radian"
         add_materials(self._root)
         self._body = self._root.worldbody.add("body", name="body", gravcomp=1)
-        self._body.add(
-            "inertial", pos=(0, 0, 0.04), mass=MASS, diaginertia=(3e-4, 3e-4, 2e-4)
-        )
+        self._body.add("inertial", pos=(0, 0, 0.04), mass=MASS, diaginertia=(3e-4, 3e-4, 2e-4))
         draw(self._body, "cylinder", "charcoal", fromto=(0, 0, 0, 0, 0, 0.022), size=(0.04,))
         draw(self._body, "box", "charcoal", pos=(0, 0, 0.042), size=(0.056, 0.022, 0.022))
         draw(self._body, "box", "steel", pos=(0, 0, 0.066), size=(0.052, 0.012, 0.003))
         for side in (-1, 1):
             self._add_finger(side, opening)
-        self._grip_site = self._body.add(
-            "site", name="grip", pos=(0, 0, GRIP_DEPTH), size=(0.002,), rgba=(0, 0, 0, 0)
-        )
+        self._grip_site = self._body.add("site", name="grip", pos=(0, 0, GRIP_DEPTH), size=(0.002,), rgba=(0, 0, 0, 0))
 
     def _add_finger(self, side: int, opening: float) -> None:
         pad_x = side * (opening / 2 + PAD_HALF_SIZE[0])
@@ -75,8 +72,3 @@ class ParallelGripper(composer.Entity):
     def grip_site(self) -> Any:
         """Point between the pads, z along the approach direction."""
         return self._grip_site
-
-    @property
-    def pads(self) -> list[Any]:
-        """The two geoms that can touch something."""
-        return self._root.worldbody.find_all("geom", immediate_children_only=False)[-2:]

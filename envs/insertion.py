@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import mujoco
@@ -15,8 +14,8 @@ from torchrl.envs import EnvBase
 from . import quantities
 from .config import InsertionConfig, make_config
 from .control import check_action, set_points
-from .scene import compile_model
 from .quantities import Measurement
+from .scene import compile_model
 from .simulation import BatchSimulation
 from .start import draw_episode
 
@@ -74,9 +73,7 @@ class InsertionEnv(EnvBase):
         self.config = make_config(variant, overrides)
         self.num_envs = num_envs
         self.num_diverged = 0
-        self._simulation = BatchSimulation(
-            compile_model(self.config), self.config, num_envs, num_threads
-        )
+        self._simulation = BatchSimulation(compile_model(self.config), self.config, num_envs, num_threads)
         self._steps = np.zeros(num_envs, dtype=np.int64)
         self._measurement = _empty_measurement(num_envs)
         self._generators: list[np.random.Generator] = []
@@ -95,8 +92,7 @@ class InsertionEnv(EnvBase):
             return Binary(n=1, shape=(batch, 1), dtype=torch.bool)
 
         sizes = quantities.observation_sizes(self.config)
-        self._term_names = quantities.reward_term_names(self.config)
-        terms = {name: real(1) for name in self._term_names}
+        terms = {name: real(1) for name in quantities.reward_term_names(self.config)}
         self.observation_spec = Composite(
             **{name: real(size) for name, size in sizes.items()},
             success=flag(),
@@ -108,9 +104,7 @@ class InsertionEnv(EnvBase):
         )
         self.action_spec = Bounded(-1.0, 1.0, shape=(batch, 3), dtype=torch.float32)
         self.reward_spec = real(1)
-        self.done_spec = Composite(
-            done=flag(), terminated=flag(), truncated=flag(), shape=(batch,)
-        )
+        self.done_spec = Composite(done=flag(), terminated=flag(), truncated=flag(), shape=(batch,))
 
     # ---------------------------------------------------------------- randomness
 
@@ -123,11 +117,11 @@ class InsertionEnv(EnvBase):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get("_reset", None)
-        slots = range(self.num_envs)
+        slots = np.arange(self.num_envs)
         if mask is not None:
             slots = np.flatnonzero(mask.reshape(self.num_envs).numpy())
         simulation = self._simulation
-        for slot in slots:
+        for slot in slots.tolist():
             episode = draw_episode(self.config, self._generators[slot])
             trace = simulation.reset(slot, episode)[None]
             self._measure(trace, slice(slot, slot + 1))
@@ -143,7 +137,7 @@ class InsertionEnv(EnvBase):
             old[where] = new
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        action = tensordict.get("action").detach().numpy().astype(np.float64)
+        action = tensordict["action"].detach().numpy().astype(np.float64)
         action = check_action(action, self.num_envs)
         active = self._active(tensordict)
         simulation = self._simulation
@@ -171,23 +165,19 @@ class InsertionEnv(EnvBase):
         """Everything that is written; with reward and done where ``truncated`` is given."""
         m, config = self._measurement, self.config
         terms = quantities.reward_terms(m, config)
-        entries: dict[str, Any] = {
-            name: _tensor(value) for name, value in quantities.observation(m, config).items()
-        }
+        entries: dict[str, Any] = {name: _tensor(value) for name, value in quantities.observation(m, config).items()}
         entries["success"] = torch.from_numpy(quantities.success(m, config)[:, None])
         entries["diverged"] = torch.from_numpy(diverged[:, None])
         entries["contact_force"] = _tensor(m.contact_force[:, None])
         entries["tilt"] = _tensor(m.inclination.max(axis=1)[:, None])
-        entries["reward_terms"] = self._pack(
-            {name: _tensor(value[:, None]) for name, value in terms.items()}
-        )
+        entries["reward_terms"] = self._pack({name: _tensor(value[:, None]) for name, value in terms.items()})
         terminated = np.zeros((self.num_envs, 1), dtype=bool)
         done = terminated.copy() if truncated is None else truncated[:, None]
         entries["terminated"] = torch.from_numpy(terminated)
         entries["truncated"] = torch.from_numpy(done)
         entries["done"] = torch.from_numpy(done.copy())
         if truncated is not None:
-            entries["reward"] = _tensor(sum(terms.values())[:, None])
+            entries["reward"] = _tensor(quantities.total(terms)[:, None])
         return self._pack(entries)
 
     def _pack(self, entries: dict[str, Any]) -> TensorDict:
@@ -216,8 +206,7 @@ class InsertionEnv(EnvBase):
             "yaw": torch.from_numpy(simulation.yaw.copy()),
             "steps": torch.from_numpy(self._steps.copy()),
             "measurement": {
-                name: torch.from_numpy(value.copy())
-                for name, value in self._measurement._asdict().items()
+                name: torch.from_numpy(value.copy()) for name, value in self._measurement._asdict().items()
             },
             "generators": [generator.bit_generator.state for generator in self._generators],
             "num_diverged": self.num_diverged,
@@ -261,6 +250,4 @@ def _empty_measurement(num_envs: int) -> Measurement:
     def zeros(*shape: int) -> np.ndarray:
         return np.zeros((num_envs, *shape))
 
-    return Measurement(
-        zeros(3), zeros(3), zeros(2, 3), zeros(2), zeros(2), zeros(2), zeros(6), zeros()
-    )
+    return Measurement(zeros(3), zeros(3), zeros(2, 3), zeros(2), zeros(2), zeros(2), zeros(6), zeros())

@@ -66,9 +66,7 @@ def desired_block_positions(config: InsertionConfig) -> np.ndarray:
     """X_g: where the left and right standing block belong, [2, 3] m."""
     x, y = config.goal_xy
     height = config.standing_half_size[2]
-    return np.array(
-        [(x - config.block_offset, y, height), (x + config.block_offset, y, height)]
-    )
+    return np.array([(x - config.block_offset, y, height), (x + config.block_offset, y, height)])
 
 
 def observation(m: Measurement, config: InsertionConfig) -> dict[str, np.ndarray]:
@@ -102,7 +100,7 @@ def observation_sizes(config: InsertionConfig) -> dict[str, int]:
 def reward_terms(m: Measurement, config: InsertionConfig) -> dict[str, np.ndarray]:
     """Weighted terms [B] whose sum is the reward (equations 4 and 5 of the paper).
 
-    r = -\\|x_g - x_t\\| - lambda sum\\|theta\\| - mu \\|X_g - X_t\\| - beta sum\\|phi\\|; terms of
+    r = -|x_g - x_t| - lambda sum|theta| - mu |X_g - X_t| - beta sum|phi|; terms of
     weight zero are left out.
     """
     point = m.held_block if config.reward_point == "held_block" else m.end_effector
@@ -115,6 +113,11 @@ def reward_terms(m: Measurement, config: InsertionConfig) -> dict[str, np.ndarra
     if config.yaw_weight:
         terms["yaw"] = -config.yaw_weight * np.abs(m.yaw).sum(axis=-1)
     return terms
+
+
+def total(terms: dict[str, np.ndarray]) -> np.ndarray:
+    """The reward [B]: sum of its terms."""
+    return np.sum(list(terms.values()), axis=0)
 
 
 def reward_term_names(config: InsertionConfig) -> tuple[str, ...]:

@@ -53,9 +53,7 @@ def add_sensors(root: Any, arm: Any, tool_site: Any, held: Any, blocks: list[Any
     frame("framezaxis", "joint_axis", arm.links, "xbody")
     sensor.add("framepos", name="tool_position", objtype="site", objname=tool_site)
     for index, axis in enumerate("xyz"):
-        sensor.add(
-            f"frame{axis}axis", name=f"tool_axes.{index}", objtype="site", objname=tool_site
-        )
+        sensor.add(f"frame{axis}axis", name=f"tool_axes.{index}", objtype="site", objname=tool_site)
     sensor.add("force", name="wrist_force", site=arm.wrist_site)
     sensor.add("torque", name="wrist_torque", site=arm.wrist_site)
     sensor.add("touch", name="contact_force", site=held.skin_site)
@@ -92,9 +90,7 @@ class SignalLayout:
 class SignalViews(Mapping[str, np.ndarray]):
     """Views that are made when they are asked for: a control step looks at a few of them only."""
 
-    def __init__(
-        self, places: Mapping[str, tuple[slice, tuple[int, ...]]], sensordata: np.ndarray
-    ) -> None:
+    def __init__(self, places: Mapping[str, tuple[slice, tuple[int, ...]]], sensordata: np.ndarray) -> None:
         self._places = places
         self._sensordata = sensordata
 

@@ -15,6 +15,21 @@ STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS.value
 CONTROL = mujoco.mjtState.mjSTATE_CTRL.value
 
 
+def has_diverged(
+    state: np.ndarray, start_time: np.ndarray, model: mujoco.MjModel, config: InsertionConfig
+) -> np.ndarray:
+    """Which full physics states [B, nstate] are not the end of a regular control step, [B] bool.
+
+    They are not finite or impossibly fast, or MuJoCo found them bad on the way: it then resets the
+    simulation (and ``rollout`` stops), which shows in the time elapsed since ``start_time`` [B].
+    """
+    velocity = state[:, 1 + model.nq : 1 + model.nq + model.nv]
+    slow = np.abs(velocity).max(axis=1) <= config.velocity_limit  # False for NaN
+    elapsed = state[:, 0] - start_time
+    on_time = np.abs(elapsed - config.control_timestep) < 0.5 * config.physics_timestep
+    return ~(slow & on_time & np.isfinite(state).all(axis=1))
+
+
 class BatchSimulation:
     """B independent copies of one model, advanced by ``mujoco.rollout``.
 
@@ -34,9 +49,7 @@ class BatchSimulation:
         start: the nominal start of an episode.
     """
 
-    def __init__(
-        self, model: mujoco.MjModel, config: InsertionConfig, num_envs: int, num_threads: int
-    ) -> None:
+    def __init__(self, model: mujoco.MjModel, config: InsertionConfig, num_envs: int, num_threads: int) -> None:
         self.config = config
         self.start = StartState(model, config)
         # Per-environment models exist only where an episode's yaw is part of the model.
@@ -44,7 +57,6 @@ class BatchSimulation:
         self._models = [model if shared else copy.copy(model) for _ in range(num_envs)]
         self._data = [mujoco.MjData(model) for _ in range(num_threads)]
         self._rollout = rollout.Rollout(nthread=num_threads if num_threads > 1 else 0)
-        self._nq, self._nv = model.nq, model.nv
         steps, size = config.substeps, mujoco.mj_stateSize(model, STATE)
         self.state = np.zeros((num_envs, size))
         self.sensors = np.zeros((num_envs, self.start.layout.size))
@@ -76,9 +88,7 @@ class BatchSimulation:
         self.yaw[slot] = yaw
         self.start.set_yaw(self._models[slot], yaw)
 
-    def step(
-        self, controls: np.ndarray, active: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def step(self, controls: np.ndarray, active: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Advances the environments by one control step.
 
         Args:
@@ -102,7 +112,7 @@ class BatchSimulation:
             sensordata=self._trace,
         )
         last = self._states[:, -1]
-        diverged = self._diverged(last)
+        diverged = has_diverged(last, self.state[:, 0], self.model, self.config)
         if active is not None:
             diverged &= active
         if active is not None or diverged.any():
@@ -113,17 +123,6 @@ class BatchSimulation:
             self.state[:] = last
             self.sensors[:] = self._trace[:, -1]
         return self._trace, diverged
-
-    def _diverged(self, state: np.ndarray) -> np.ndarray:
-        """Which states [B, nstate] are not finite, too fast, or the result of an interrupted step.
-
-        MuJoCo resets a simulation whose state becomes bad, and ``rollout`` then stops: the time shows it.
-        """
-        velocity = state[:, 1 + self._nq : 1 + self._nq + self._nv]
-        fast = np.abs(velocity).max(axis=1) <= self.config.velocity_limit  # False for NaN
-        elapsed = state[:, 0] - self.state[:, 0]
-        on_time = np.abs(elapsed - self.config.control_timestep) < 0.5 * self.config.physics_timestep
-        return ~(fast & on_time & np.isfinite(state).all(axis=1))
 
     def close(self) -> None:
         """Ends the threads."""

@@ -77,14 +77,12 @@ class StartState:
 
     def _solve_posture(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
         config = self.config
-        target = np.array(config.goal) + (0.0, 0.0, config.start_height)
+        target = np.array(config.goal) + np.array((0.0, 0.0, config.start_height))
         qpos = self._qpos.copy()
         for iteration in range(200):
             forward(model, data, qpos)
             signals = self.layout.views(data.sensordata[None])
-            error = np.concatenate(
-                (target - signals["tool_position"][0], orientation_error(signals)[0])
-            )
+            error = np.concatenate((target - signals["tool_position"][0], orientation_error(signals)[0]))
             if np.abs(error).max() < 1e-9:
                 return qpos[self._arm].copy()
             error[:3] *= min(1.0, 0.1 / (np.linalg.norm(error[:3]) + 1e-12))

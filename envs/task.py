@@ -6,6 +6,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any
 
+import mujoco
 import numpy as np
 from dm_control import composer
 from dm_control.composer.observation import observable
@@ -18,6 +19,7 @@ from .config import InsertionConfig
 from .control import check_action, set_points
 from .quantities import Measurement
 from .scene import build_scene
+from .simulation import STATE, has_diverged
 from .start import StartState, draw_episode
 
 
@@ -38,6 +40,7 @@ class InsertionTask(composer.Task):
         self._start: StartState | None = None
         self._trace: list[np.ndarray] = []
         self._sensors = np.zeros(0)
+        self._start_time = np.zeros(1)
         self._measurement: Measurement | None = None
         self._diverged = False
         self.num_diverged = 0
@@ -114,9 +117,7 @@ class InsertionTask(composer.Task):
             raise RuntimeError("the model is not compiled yet: make a composer.Environment first")
         return self._start
 
-    def before_step(
-        self, physics: Any, action: np.ndarray, random_state: np.random.RandomState
-    ) -> None:
+    def before_step(self, physics: Any, action: np.ndarray, random_state: np.random.RandomState) -> None:
         """Turns the action into set points.
 
         Raises:
@@ -130,6 +131,7 @@ class InsertionTask(composer.Task):
         # The batched environment starts every control step without warm start.
         physics.data.qacc_warmstart[:] = 0
         self._trace = []
+        self._start_time = np.array([physics.data.time])
 
     def after_substep(self, physics: Any, random_state: np.random.RandomState) -> None:
         """Keeps the sensors of every substep."""
@@ -139,8 +141,10 @@ class InsertionTask(composer.Task):
     def after_step(self, physics: Any, random_state: np.random.RandomState) -> None:
         """Measures the end of the control step; a diverged one leaves the last measurement."""
         del random_state
-        complete = len(self._trace) == self.config.substeps
-        self._diverged = not complete or _has_diverged(physics, self.config)
+        model, data = physics.model.ptr, physics.data.ptr
+        state = np.empty((1, mujoco.mj_stateSize(model, STATE)))
+        mujoco.mj_getState(model, data, state[0], STATE)
+        self._diverged = bool(has_diverged(state, self._start_time, model, self.config)[0])
         if self._diverged:
             self.num_diverged += 1
         else:
@@ -156,16 +160,9 @@ class InsertionTask(composer.Task):
     def get_reward(self, physics: Any) -> float:
         """Sum of the weighted reward terms."""
         del physics
-        return float(sum(quantities.reward_terms(self.measurement, self.config).values())[0])
+        return float(quantities.total(quantities.reward_terms(self.measurement, self.config))[0])
 
     def should_terminate_episode(self, physics: Any) -> bool:
         """Only diverged physics ends an episode before its time."""
         del physics
         return self._diverged
-
-
-def _has_diverged(physics: Any, config: InsertionConfig) -> bool:
-    """Whether the state is not finite or moves impossibly fast."""
-    velocity = physics.data.qvel
-    finite = np.isfinite(physics.data.qpos).all() and np.isfinite(velocity).all()
-    return not (finite and np.abs(velocity).max() <= config.velocity_limit)

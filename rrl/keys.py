@@ -25,3 +25,6 @@ REWARD = "reward"
 
 REWARD_TERMS = "reward_terms"
 """Nested entry with one weighted term a name."""
+
+SAFETY = "safety"
+"""Nested entry with one flag a limit: whether it changed this step's action, bool."""

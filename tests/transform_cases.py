@@ -18,7 +18,15 @@ from rrl.controllers import (
     ReplayController,
     SumController,
 )
-from rrl.transforms import ControlNoise, ObservationLatency, ObservationNoise, ResidualAction
+from rrl.transforms import (
+    ControlNoise,
+    ForceLimit,
+    ObservationLatency,
+    ObservationNoise,
+    ResidualAction,
+    StepLimit,
+    WorkspaceLimit,
+)
 from toy_envs import PointMass
 
 POSITION = "end_effector_position"
@@ -74,6 +82,24 @@ def tracker(seed: int | None) -> Transform:
     return ObservationLatency(keys, 1, update_interval=2, dropout=0.4, seed=seed, out_keys=out)
 
 
+def workspace_limit(seed: int | None) -> Transform:
+    return WorkspaceLimit(low=-0.3, high=[0.3, 0.4], unit=0.1)
+
+
+def step_limit(seed: int | None) -> Transform:
+    return StepLimit(size=[0.5, 0.8], change=0.4)
+
+
+def force_limit(seed: int | None) -> Transform:
+    """The position stands in for a force: it is measured, two-dimensional and changes slowly."""
+    return ForceLimit(limit=0.3, onset=0.1, retract=0.2, force_key=POSITION, axes=[0, 1])
+
+
+def safe_residual(seed: int | None) -> Transform:
+    limits = workspace_limit(seed), force_limit(seed), step_limit(seed)
+    return Compose(*limits, control_noise(seed), residual_with_memory(seed))
+
+
 def chain(seed: int | None) -> Transform:
     """Everything at once, in the order of a training run."""
     return Compose(
@@ -97,6 +123,10 @@ CASES: dict[str, Factory] = {
         observation_noise_beside,
         latency,
         tracker,
+        workspace_limit,
+        step_limit,
+        force_limit,
+        safe_residual,
         chain,
     )
 }

@@ -1,1 +1,32 @@
-"""Training, evaluation, command line."""
+"""Training, evaluation, command line.
+
+What a script needs can be imported from here; each name is loaded at its first use, so that the command line's help
+does not wait for torch.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .config import CheckpointSettings, EvaluationSettings, TrainerSettings
+    from .environment import EnvironmentFactory, Input
+    from .trainer import Trainer
+
+__all__ = ["CheckpointSettings", "EnvironmentFactory", "EvaluationSettings", "Input", "Trainer", "TrainerSettings"]
+
+_MODULES = {
+    "CheckpointSettings": ".config",
+    "EnvironmentFactory": ".environment",
+    "EvaluationSettings": ".config",
+    "Input": ".environment",
+    "Trainer": ".trainer",
+    "TrainerSettings": ".config",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it has {sorted(_MODULES)}")
+    return getattr(import_module(_MODULES[name], __name__), name)

@@ -36,14 +36,15 @@ def settings(config: Config) -> TrainerSettings:
 
 
 def environment(config: Config) -> EnvironmentFactory:
-    """The training environment: base, disturbance, sensing, controller, inputs."""
+    """The training environment: base, safety, disturbance, sensing, controller, inputs."""
     env = config["env"]
     return EnvironmentFactory(
         base=build(env["base"]),
         controller=build(config["controller"]),
         inputs={key: Input(**(entry or {})) for key, entry in env["inputs"].items()},
         disturbances=[build(node) for node in _enabled(config["disturbance"])],
-        sensing=[build(node) for node in _enabled(env["sensing"])],
+        sensing=[build(node) for node in _enabled(env.get("sensing"))],
+        safety=[build(node) for node in _enabled(config.get("safety"))],
         residual_scale=config["residual_scale"],
         batching=env["batching"],
         max_episode_steps=env["max_episode_steps"],

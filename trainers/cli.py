@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import os
+import re
+import signal
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -23,12 +25,19 @@ USAGE = """usage: rrl COMMAND [key=value ...]
   rrl train resume=RUN [key=value ...]  continue a run from its newest checkpoint
   rrl evaluate run=RUN [key=value ...]  evaluate a run's newest checkpoint on frozen episodes
   rrl render run=RUN [key=value ...]    write a video of controller and residual on one episode
+  rrl new NAME                          make a folder with environment, controller and configuration of your own
 
 RUN is a run's directory. Keys and groups: rrl train --help; the whole configuration: rrl train --cfg job.
+Packages and a folder configs/ of the working directory are found: env=mine reads configs/env/mine.yaml.
 Set RRL_TRACEBACK=1 to see where an error comes from.
+
+SIGTERM and Ctrl-C finish the round, save and print how to go on; the second one ends the process at once.
+Exit status: 0 done, 2 an error (one message on stderr), 130 or 143 stopped by Ctrl-C or SIGTERM.
 """
 
-COMMANDS = ("train", "evaluate", "render")
+COMMANDS = ("train", "evaluate", "render", "new")
+USER_CONFIGS = "configs"
+"""Folder in the working directory whose groups are added to ours."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -41,14 +50,32 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if command not in COMMANDS:
             raise ValueError(f"unknown command {command!r}; choose one of {', '.join(COMMANDS)}")
+        if command == "new":
+            _new(rest)
+            return 0
         run_dir, overrides = _split_run(command, rest)
         _hydra(command, run_dir, overrides)
+    except KeyboardInterrupt:
+        return 128 + signal.SIGINT
     except Exception as error:
+        if stopped_by := getattr(error, "signal", None):
+            return 128 + int(stopped_by)
         if os.environ.get("RRL_TRACEBACK"):
             raise
         Console(stderr=True).print(f"rrl {command}: {_message(error)}", style="red", highlight=False, markup=False)
         return 2
     return 0
+
+
+def _new(arguments: list[str]) -> None:
+    from .new import create
+
+    if len(arguments) != 1:
+        raise ValueError(f"expected one name, rrl new NAME, got {arguments}")
+    name = arguments[0]
+    for path in create(name, Path.cwd()):
+        print(f"  {path.relative_to(Path.cwd())}")
+    print(f"\ncd {name} && rrl train env={name} controller={name}")
 
 
 def _split_run(command: str, arguments: list[str]) -> tuple[Path | None, list[str]]:
@@ -74,12 +101,33 @@ def _hydra(command: str, run_dir: Path | None, overrides: list[str]) -> None:
     if run_dir is not None:
         source = ["--config-path", str(run_dir), "--config-name", CONFIG_FILE]
         overrides = [*overrides, f"hydra.run.dir={run_dir}", "hydra.output_subdir=null"]
-    sys.argv = ["rrl", *source, *overrides]
+    OmegaConf.register_new_resolver("plain", plain_name, replace=True)
+    sys.argv = ["rrl", *source, *_user_configs(overrides), *overrides]
     run: Callable[[], None] = hydra.main(version_base="1.3", config_path=None)(
         lambda config: _run(command, config, resume=run_dir is not None)
     )
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # exceptions come through; main() shows them
     run()
+
+
+def _user_configs(arguments: list[str]) -> list[str]:
+    """Let ``_target_`` name packages of the working directory, and groups hold the YAML of its folder ``configs``."""
+    here = Path.cwd()
+    if str(here) not in sys.path:
+        sys.path.append(str(here))  # last: nothing there hides an installed package
+    chosen = any(a.startswith(("--config-dir", "-cd")) for a in arguments)
+    return ["--config-dir", str(here / USER_CONFIGS)] if (here / USER_CONFIGS).is_dir() and not chosen else []
+
+
+def plain_name(name: str) -> str:
+    """``name`` itself, if it stays inside the folder that it is put in; resolver ``plain`` of the configuration.
+
+    Raises:
+        ValueError: anything but letters, digits and ``. _ + = -``, or a dot at the front.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._+=-]*", str(name)):
+        raise ValueError(f"name: expected letters, digits and . _ + = - for a directory of that name, got {name!r}")
+    return name
 
 
 def _run(command: str, hydra_config: DictConfig, *, resume: bool) -> None:
@@ -116,4 +164,6 @@ def _message(error: BaseException) -> str:
         return "\n".join(lines)
     if isinstance(error, KeyError) and error.args:
         return str(error.args[0])
+    if isinstance(error, OSError) and error.strerror and error.filename:
+        return f"{error.filename}: {error.strerror}"
     return str(error) or type(error).__name__

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -9,27 +10,44 @@ import yaml
 from rich.console import Console
 
 from . import assembly
-from .checkpointing import load_agent
+from .checkpointing import load_agent, saved_config
 from .evaluator import Evaluator
+from .files import write_atomically
+from .identity import require_same_run
 from .layout import CONFIG_FILE, VIDEOS
 from .plots import learning_curve
 from .progress import Progress
 from .summary import Results, terminal_table, write_results
 from .trainer import Trainer
-from .video import RenderingUnavailable, render_comparison
+from .video import choose_episode, render_comparison
 
 
 def train(config: assembly.Config, run_dir: Path, console: Console, *, resume: bool) -> None:
     """Train, then leave a table, a learning curve and a video in the run's directory."""
-    trainer = assembly.trainer(config, run_dir, Progress(console))
     if resume:
-        console.print(f"resuming from {trainer.resume()}", highlight=False)
-    (run_dir / CONFIG_FILE).write_text(yaml.safe_dump(dict(config), sort_keys=False))
+        require_same_run(saved_config(run_dir) or config, config)
+    trainer = assembly.trainer(config, run_dir, Progress(console))
     try:
+        if resume:
+            _resume(trainer, console)
+        write_atomically(run_dir / CONFIG_FILE, yaml.safe_dump(dict(config), sort_keys=False))
         results = trainer.run()
         _report(config, trainer, results, console)
+    except Exception:
+        command = f"rrl train resume={shlex.quote(str(run_dir))}"
+        console.print(f"the run is on disk; to go on with it:\n  {command}", highlight=False, soft_wrap=True)
+        raise
     finally:
         trainer.close()
+
+
+def _resume(trainer: Trainer, console: Console) -> None:
+    try:
+        console.print(f"resuming from {trainer.resume()}", highlight=False)
+    except FileNotFoundError:
+        if trainer.store.log.count:
+            raise
+        console.print("the run was stopped before its first checkpoint: starting from the beginning", highlight=False)
 
 
 def _report(config: assembly.Config, trainer: Trainer, results: Results, console: Console) -> None:
@@ -96,18 +114,23 @@ def _video(
     run_dir: Path,
     console: Console,
 ) -> Path | None:
-    if not config["render"]["enabled"]:
+    settings, render = assembly.settings(config), config["render"]
+    node = config["env"].get("renderer")
+    if not render["enabled"] or not node:
         return None
-    settings = assembly.settings(config)
+    k = render["seed"]
+    if not 0 <= k < settings.num_seeds:
+        raise ValueError(f"render.seed: expected a number below num_seeds ({settings.num_seeds}), got {k}")
+    episode = choose_episode(results[scenario][k], render["episode"])
     try:
         return render_comparison(
             assembly.scenarios(config)[scenario],
-            agent,
-            results[scenario],
-            settings.evaluation.seed,
-            config["render"],
-            run_dir / VIDEOS,
+            agent.policy_of(k),
+            assembly.build(node),
+            settings.evaluation.seed + episode,
+            run_dir / VIDEOS / f"{scenario}_episode_{episode}.{render['format']}",
+            render,
         )
-    except RenderingUnavailable as error:
+    except RuntimeError as error:
         console.print(f"no video: {error}", style="yellow", highlight=False)
         return None

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 
-from rrl.keys import ACTION, BASE_ACTION, REWARD_TERMS, SUCCESS
+from rrl.keys import ACTION, BASE_ACTION, DIVERGED, REWARD_TERMS, SAFETY, SUCCESS
 from rrl.transforms import ResidualAction
 
 from . import metrics
@@ -17,7 +19,7 @@ def experience_metrics(data: TensorDictBase, num_seeds: int, env: TransformedEnv
     """Metrics of collected data ``[S * E, T]``, one value per seed.
 
     ``train/reward`` and ``train/reward_terms/*`` are means over steps; ``train/success`` is the share of the episodes
-    that ended in this collection, absent if none did.
+    that ended in this collection, absent if none did; ``train/diverged`` counts the episodes that physics failed in.
     """
     data = data.reshape(num_seeds, -1)
     following = data["next"]
@@ -29,7 +31,27 @@ def experience_metrics(data: TensorDictBase, num_seeds: int, env: TransformedEnv
     if SUCCESS in following and ended.any(-1).all():
         solved = (following[SUCCESS].flatten(1) & ended).sum(-1) / ended.sum(-1)
         values[metrics.name(metrics.TRAIN, "success")] = solved.tolist()
+    if DIVERGED in following:
+        values[metrics.name(metrics.TRAIN, DIVERGED)] = following[DIVERGED].flatten(1).sum(-1).tolist()
+    for limit, changed in following.get(SAFETY, {}).items():
+        values[metrics.name(metrics.SAFETY, limit)] = _mean(changed)
     return values | _shares(data, env)
+
+
+def require_finite(tensors: Mapping[str, Tensor], what: str, env_steps: int) -> None:
+    """Stop a run before a number that is not finite is stored or saved.
+
+    Raises:
+        FloatingPointError: naming the entries, the step, and that the run is safe on disk up to the step before.
+
+    """
+    broken = [name for name, value in tensors.items() if value.is_floating_point() and not value.isfinite().all()]
+    if broken:
+        more = f" and {len(broken) - 3} more" if len(broken) > 3 else ""
+        raise FloatingPointError(
+            f"{what} numbers that are not finite in {', '.join(broken[:3])}{more} at step {env_steps}; everything "
+            "before is on disk: the newest checkpoint and all transitions"
+        )
 
 
 def _shares(data: TensorDictBase, env: TransformedEnv) -> dict[str, list[float]]:

@@ -9,11 +9,13 @@ from typing import Any, Literal
 
 import torch
 from tensordict import NestedKey
-from tensordict.nn import TensorDictModuleBase
-from torchrl.envs import EnvBase, SerialEnv, TransformedEnv
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, TransformedEnv
 from torchrl.envs.transforms import (
     CatTensors,
     Compose,
+    DoubleToFloat,
+    FlattenObservation,
     ObservationNorm,
     Transform,
 )
@@ -21,7 +23,8 @@ from torchrl.envs.transforms import (
 from rrl.keys import OBSERVATION
 from rrl.transforms import ResidualAction
 
-Batching = Literal["native", "serial"]
+Batching = Literal["native", "serial", "parallel"]
+_BATCHED = {"serial": SerialEnv, "parallel": ParallelEnv}
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,11 @@ class Input:
 
     loc: float | Sequence[float] = 0.0
     scale: float | Sequence[float] = 1.0
+
+    def __call__(self, value: torch.Tensor) -> torch.Tensor:
+        """Normalise ``value`` [..., n]."""
+        loc, scale = torch.as_tensor(self.loc), torch.as_tensor(self.scale)
+        return value * scale - loc * scale
 
     def column(self, name: str, value: float | Sequence[float], size: int) -> torch.Tensor:
         """``value`` as a vector of ``size`` numbers.
@@ -48,29 +56,34 @@ class Input:
 
 @dataclass(frozen=True)
 class EnvironmentFactory:
-    """Builds transformed environments: ``[disturbances, sensing, residual, normalisation, concatenation]``.
+    """Builds transformed environments: ``[safety, disturbances, sensing, residual, concatenation, normalisation]``.
 
     The order is the method's: on the way to the policy, sensing faults come before the controller, which therefore
-    sees what a real one would see; on the way back the superposition comes first, then the disturbance.
+    sees what a real one would see; on the way back the superposition comes first, then the disturbance, and safety
+    limits have the last word. An environment in double precision is converted to float32 first.
 
     Args:
         base: makes the bare environment; called as ``base(num_envs=..., seed=...)`` when ``batching`` is ``native``,
             else without arguments.
         controller: makes a controller.
-        inputs: the observation entries that the policy reads, in this order, and how each is normalised.
+        inputs: the observation entries that the policy reads, in this order, and how each is normalised; a plain list
+            of names leaves them as they are.
         disturbances: make the transforms of the executed action (control noise).
         sensing: make the transforms of the observation entries (camera noise, latency).
+        safety: make the transforms that limit what reaches the environment.
         residual_scale: authority of the residual, in half ranges of the action, per dimension or for all.
-        batching: ``native`` for an environment with a batch size of its own, ``serial`` to run copies in turn.
+        batching: ``native`` for an environment with a batch size of its own, ``serial`` to run copies in turn,
+            ``parallel`` to run each copy in its own process.
         max_episode_steps: bound on an episode's length, for evaluation.
 
     """
 
     base: Callable[..., EnvBase]
     controller: Callable[[], TensorDictModuleBase]
-    inputs: Mapping[str, Input]
+    inputs: Mapping[str, Input] | Sequence[str]
     disturbances: Sequence[Callable[[], Transform]] = ()
     sensing: Sequence[Callable[[], Transform]] = ()
+    safety: Sequence[Callable[[], Transform]] = ()
     residual_scale: float | Sequence[float] = 1.0
     batching: Batching = "native"
     max_episode_steps: int = 1000
@@ -87,30 +100,54 @@ class EnvironmentFactory:
 
         """
         env = TransformedEnv(self._make_base(num_envs), Compose())
-        for make in (*self.disturbances, *self.sensing):
+        if any(spec.dtype == torch.float64 for spec in env.specs.values(True, True)):
+            env.append_transform(DoubleToFloat())
+        for make in (*self.safety, *self.disturbances, *self.sensing):
             env.append_transform(make())
         env.append_transform(ResidualAction(self.controller(), scale=self.residual_scale))
         self._append_inputs(env)
         return env
 
+    def reader(self) -> TensorDictModule:
+        """The module from the input entries to ``observation``, as the policy sees it.
+
+        In front of a policy that was trained here it makes one that reads what the bare environment writes, for
+        instance to be the controller under a further residual.
+        """
+        entries = self._inputs()
+
+        def concatenate(*values: torch.Tensor) -> torch.Tensor:
+            return torch.cat([entry(value) for entry, value in zip(entries.values(), values, strict=True)], -1)
+
+        return TensorDictModule(concatenate, in_keys=list(entries), out_keys=[OBSERVATION])
+
+    def _inputs(self) -> dict[str, Input]:
+        if isinstance(self.inputs, Mapping):
+            return dict(self.inputs)
+        return {name: Input() for name in self.inputs}
+
     def _make_base(self, num_envs: int) -> EnvBase:
         if self.batching == "native":
             return self.base(num_envs=num_envs)
-        return self.base() if num_envs == 1 else SerialEnv(num_envs, self.base)
+        return self.base() if num_envs == 1 else _BATCHED[self.batching](num_envs, self.base)
 
     def _append_inputs(self, env: TransformedEnv) -> None:
         spec = env.observation_spec
         available = sorted(map(str, spec.keys(True, True)))
         loc, scale = [], []
-        for name, entry in self.inputs.items():
+        inputs = self._inputs()
+        for name, entry in inputs.items():
             if name not in spec.keys(True, True):
                 raise KeyError(
                     f"environment.inputs names {name!r}, which the environment does not have; it has {available}"
                 )
-            size = spec[name].shape[-1]
+            extra = spec[name].ndim - env.ndim - 1  # an image or a list of frames enters as one vector
+            if extra > 0:
+                env.append_transform(FlattenObservation(-1 - extra, -1, in_keys=[name]))
+            size = spec[name].shape[env.ndim :].numel()
             loc.append(entry.column(name, entry.loc, size))
             scale.append(entry.column(name, entry.scale, size))
-        keys: list[NestedKey] = list(self.inputs)
+        keys: list[NestedKey] = list(inputs)
         env.append_transform(CatTensors(in_keys=keys, out_key=OBSERVATION, del_keys=False, sort=False))
         scales = torch.cat(scale)
         env.append_transform(ObservationNorm(loc=-torch.cat(loc) * scales, scale=scales, in_keys=[OBSERVATION]))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import logging
+import os
 import secrets
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -11,7 +13,10 @@ from typing import Any, TextIO
 
 import numpy as np
 
+from .files import write_atomically
 from .metrics import STEP_AXIS, Values
+
+_log = logging.getLogger(__name__)
 
 
 class MetricsLogger(ABC):
@@ -32,8 +37,59 @@ class MetricsLogger(ABC):
     def log_file(self, name: str, path: Path, env_steps: int) -> None:  # noqa: B027 - not every sink shows media
         """Record a picture (``.png``) or a video (``.mp4``, ``.gif``)."""
 
+    def flush(self) -> None:  # noqa: B027 - not every sink holds anything back
+        """Put on disk what was logged; called before every checkpoint."""
+
     def finish(self) -> None:  # noqa: B027 - not every sink needs closing
         """Flush and close."""
+
+
+class Guarded(MetricsLogger):
+    """A logger whose failure is said once and does not stop the run.
+
+    Args:
+        logger: the logger; left alone after its first error.
+    """
+
+    def __init__(self, logger: MetricsLogger) -> None:
+        self.logger = logger
+        self._state: str = "idle"
+
+    def start(self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int) -> None:
+        """Open the sink."""
+        self._state = "running"
+        self._try("start", run_dir, config, seeds, env_steps)
+
+    def log(self, values: Values, env_steps: int) -> None:
+        """Record metrics."""
+        self._try("log", values, env_steps)
+
+    def log_file(self, name: str, path: Path, env_steps: int) -> None:
+        """Record a picture or a video."""
+        self._try("log_file", name, path, env_steps)
+
+    def flush(self) -> None:
+        """Put on disk what was logged."""
+        self._try("flush")
+
+    def finish(self) -> None:
+        """Close a sink that was opened, broken or not."""
+        self._try("finish")
+        self._state = "idle"
+
+    def _try(self, method: str, *arguments: Any) -> None:
+        if self._state != "running":
+            return
+        try:
+            getattr(self.logger, method)(*arguments)
+        except Exception as error:  # whatever a sink or its network can come up with
+            self._state = "broken"
+            _log.warning(
+                "%s failed (%s: %s); training goes on without it",
+                type(self.logger).__name__,
+                type(error).__name__,
+                error,
+            )
 
 
 class CSVLogger(MetricsLogger):
@@ -51,6 +107,8 @@ class CSVLogger(MetricsLogger):
             writer = csv.writer(file)
             writer.writerow([STEP_AXIS, "seed", "metric", "value"])
             writer.writerows(rows)
+            file.flush()
+            os.fsync(file.fileno())
         partial.replace(path)
         self.file: TextIO = path.open("a", newline="")
         self.writer = csv.writer(self.file)
@@ -61,6 +119,10 @@ class CSVLogger(MetricsLogger):
             for seed, value in zip(self.seeds, per_seed, strict=True):
                 self.writer.writerow([env_steps, seed, metric, repr(float(value))])
         self.file.flush()
+
+    def flush(self) -> None:
+        """Have the disk hold all rows."""
+        os.fsync(self.file.fileno())
 
     def finish(self) -> None:
         """Close the file."""
@@ -89,6 +151,10 @@ class TensorBoardLogger(MetricsLogger):
 
             self.writer.add_image(name, np.asarray(iio.imread(path)), env_steps, dataformats="HWC")
 
+    def flush(self) -> None:
+        """Write what is queued."""
+        self.writer.flush()
+
     def finish(self) -> None:
         """Flush and close."""
         self.writer.close()
@@ -109,6 +175,8 @@ class WandbLogger(MetricsLogger):
 
     """
 
+    CONNECT_SECONDS = 30.0
+
     def __init__(
         self,
         project: str = "rrl",
@@ -127,19 +195,25 @@ class WandbLogger(MetricsLogger):
         self.seeds = seeds
         identity = run_dir / "wandb_id"
         if not identity.exists():
-            identity.write_text(secrets.token_hex(4))
-        self.run = wandb.init(
-            project=self.project,
-            group=self.group,
-            tags=self.tags,
-            name=self.name or run_dir.name,
-            id=identity.read_text().strip(),
-            resume="allow",
-            mode="online" if self.online else "offline",
-            dir=str(run_dir),
-            config=dict(config),
-            settings=wandb.Settings(silent=True, console="off"),
-        )
+            write_atomically(identity, secrets.token_hex(4))
+        arguments: dict[str, Any] = {
+            "project": self.project,
+            "group": self.group,
+            "tags": self.tags,
+            "name": self.name or run_dir.name,
+            "id": identity.read_text().strip(),
+            "resume": "allow",
+            "dir": str(run_dir),
+            "config": dict(config),
+            "settings": wandb.Settings(silent=True, console="off", init_timeout=self.CONNECT_SECONDS),
+        }
+        try:
+            self.run = wandb.init(mode="online" if self.online else "offline", **arguments)
+        except Exception as error:
+            if not self.online:
+                raise
+            _log.warning("W&B cannot be reached (%s); logging offline, `wandb sync` uploads it later", error)
+            self.run = wandb.init(mode="offline", **arguments)
         self.run.define_metric(STEP_AXIS)
         self.run.define_metric("*", step_metric=STEP_AXIS)
 

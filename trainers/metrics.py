@@ -22,6 +22,9 @@ EVALUATION = "eval"
 ACTION = "action"
 """The split of work: ``action/residual_rms``, ``action/residual_share``, ``action/clip_fraction``."""
 
+SAFETY = "safety"
+"""Share of the steps in which a limit changed the action: ``safety/workspace``, ``safety/step``, ``safety/force``."""
+
 TIME = "time"
 """Seconds since the last row: ``time/collect``, ``store``, ``sample``, ``update``, ``evaluate``, ``checkpoint``."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +16,25 @@ from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs.transforms import InitTracker
 from torchrl.envs.utils import ExplorationType
 
+from rrl.algorithms import TD3
+from rrl.exploration import GaussianExploration
 from rrl.keys import ACTION, OBSERVATION
 from rrl.random import seed_env
 from rrl.replay import StackedSampler
 
 from . import metrics
-from .checkpointing import Checkpoints, EnvironmentState, Holder, ReplayContent
+from .checkpointing import Checkpoints, newest_whole
+from .components import EpisodeInProgress, Holder
 from .config import TrainerSettings
-from .diagnostics import experience_metrics
+from .diagnostics import experience_metrics, require_finite
 from .environment import EnvironmentFactory
 from .evaluation import Comparison
 from .evaluator import Evaluator
-from .loggers import MetricsLogger
+from .identity import require_same_run
+from .interruption import Interruption
+from .loggers import CSVLogger, Guarded, MetricsLogger
 from .progress import Progress
+from .replay_store import ReplayStore
 from .timing import Stopwatch
 
 STORED = (
@@ -40,9 +47,13 @@ STORED = (
 )
 """What the replay buffer keeps: the *policy's* action, before controller and disturbance (algorithm 1)."""
 
+DEFAULT_EXPLORATION = partial(GaussianExploration, sigma=0.2)
+
+Metrics = dict[str, list[float]]
+
 
 class Trainer:
-    """Trains ``S`` independent residual policies side by side.
+    """Trains ``S`` independent residual policies side by side. In a ``with`` statement it closes itself.
 
     Args:
         settings: how long, how often, how many.
@@ -51,8 +62,8 @@ class Trainer:
         exploration: makes the exploration module; called with ``spec``, ``num_slots`` and ``seed``.
         run_dir: where the run writes.
         scenarios: environments that the policies are evaluated on, by name; the first is the one followed during
-            training.
-        loggers: sinks for metrics.
+            training. None: the training environment, as ``training``.
+        loggers: sinks for metrics. None: ``metrics.csv``.
         config: what the loggers record as the run's configuration.
         progress: shows how far the run is.
 
@@ -62,25 +73,26 @@ class Trainer:
         self,
         settings: TrainerSettings,
         environment: EnvironmentFactory,
-        agent: Callable[..., Any],
-        exploration: Callable[..., TensorDictModuleBase],
-        run_dir: Path,
+        agent: Callable[..., Any] = TD3,
+        exploration: Callable[..., TensorDictModuleBase] = DEFAULT_EXPLORATION,
+        run_dir: Path | str = "outputs/run",
         *,
-        scenarios: Mapping[str, EnvironmentFactory],
-        loggers: Sequence[MetricsLogger] = (),
+        scenarios: Mapping[str, EnvironmentFactory] | None = None,
+        loggers: Sequence[MetricsLogger] | None = None,
         config: Mapping[str, Any] | None = None,
         progress: Progress | None = None,
     ) -> None:
-        self.settings, self.run_dir = settings, run_dir
-        self.loggers, self.config = list(loggers), dict(config or {})
-        self._started: list[MetricsLogger] = []
+        self.settings, self.run_dir = settings, Path(run_dir)
+        self.loggers = [Guarded(logger) for logger in ([CSVLogger()] if loggers is None else loggers)]
+        self.config = dict(config or {"trainer": settings.model_dump()})
+        self.interruption = Interruption()
         self.progress = progress or Progress.silent()
         self.stopwatch = Stopwatch()
         _configure_torch(settings)
-        run_dir.mkdir(parents=True, exist_ok=True)
+        self.run_dir.mkdir(parents=True, exist_ok=True)
 
         num_envs = settings.num_seeds * settings.envs_per_seed
-        first_seed = settings.seed * settings.envs_per_seed
+        self._first_seed = first_seed = settings.seed * settings.envs_per_seed
         self.env = environment.make(num_envs)
         seed_env(self.env, first_seed)
         action_spec = self.env.full_action_spec[ACTION]
@@ -109,17 +121,19 @@ class Trainer:
             storage=LazyTensorStorage(settings.buffer_capacity * settings.num_seeds),
             sampler=self.sampler,
         )
-        self.evaluator = Evaluator(scenarios, settings.evaluation)
+        self.store = ReplayStore(self.run_dir, self.replay, settings.num_seeds)
+        self.evaluator = Evaluator(scenarios or {"training": environment}, settings.evaluation)
         self.counters: dict[str, int] = {"env_steps": 0}
+        self._resumed = False
+        self.episode = EpisodeInProgress(self.env, self.collector)
         self.checkpoints = Checkpoints(
-            run_dir,
+            self.run_dir,
             settings.checkpoint.keep,
             {
                 "agent": self.agent,
                 "exploration": self.exploration,
-                "environment": EnvironmentState(self.env),
-                "collector": CarriedObservation(self.collector),
-                "replay": ReplayContent(self.replay),
+                "episode": self.episode,
+                "replay": self.store,
                 "sampler": self.sampler,
                 "progress": Holder(self.counters),
             },
@@ -131,13 +145,27 @@ class Trainer:
         return self.counters["env_steps"]
 
     def resume(self) -> Path:
-        """Continue from the run's newest checkpoint.
+        """Continue from the run's newest checkpoint that is whole.
+
+        A simulation goes on in the middle of its episode and makes again what it made after the checkpoint. An
+        environment without a state starts a new episode; :meth:`run` first learns from the transitions that were stored
+        after the checkpoint, as it did before, and goes on from the last of them.
 
         Raises:
             FileNotFoundError: if there is none.
+            ValueError: if none is whole, or the configuration is not the run's own.
 
         """
-        return self.checkpoints.load_latest()
+        path, note, torn = newest_whole(self.run_dir, lambda note: self.store.check(note["transitions"]))
+        require_same_run(note["config"], self.config)
+        self.checkpoints.load(path, torn)
+        if self.episode.continues:
+            self.store.set_pending_aside()
+        else:
+            self.episode.start_anew(self._first_seed + self.store.log.count)
+            self.store.keep_whole_rounds(self._round_size)
+        self._resumed = True
+        return path
 
     def run(self) -> dict[str, list[Comparison]]:
         """Train to ``total_steps``, evaluate every scenario, save.
@@ -145,48 +173,69 @@ class Trainer:
         Returns:
             For every scenario one comparison with the controller per seed.
 
+        Raises:
+            Interrupted: if SIGTERM or Ctrl-C asked for it; the run is saved.
+            FileExistsError: if the directory holds a run already and :meth:`resume` was not called.
+            FloatingPointError: if losses or parameters are no longer finite; the checkpoint before stays.
+
         """
         settings = self.settings
+        if not self._resumed and (self.checkpoints.exist() or self.store.log.count):
+            raise FileExistsError(f"{self.run_dir} holds a run already: resume it, or choose another directory")
         for logger in self.loggers:
             logger.start(self.run_dir, self.config, settings.seeds, self.env_steps)
-            self._started.append(logger)
-        with self.progress.training(settings.total_steps, self.env_steps):
+        with self.interruption.listening(), self.progress.training(settings.total_steps, self.env_steps):
             if self.env_steps == 0:
+                self._save()
                 self._evaluate()
             while self.env_steps < settings.total_steps:
+                self._stop_if_asked()
                 self._round()
-        results = self.evaluator.final(self.agent, settings.num_seeds, self.progress)
-        for scenario, comparisons in results.items():
-            self._log_evaluation(scenario, comparisons)
-        if settings.total_steps and not self._due(settings.checkpoint.every):
-            self.checkpoints.save(self.env_steps)
-        return results
+            self._save()
+            return self._evaluate_all()
 
     def close(self) -> None:
         """Finish the loggers and close the environments."""
-        for logger in self._started:
+        for logger in self.loggers:
             logger.finish()
+        self.store.log.close()
         self.evaluator.close()
         self.collector.shutdown()
 
+    def __enter__(self) -> Trainer:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
     def _round(self) -> None:
-        with self.stopwatch("collect"):
-            data = self._collect()
-        with self.stopwatch("store"):
-            self.replay.extend(self._transitions(data))
+        values = self._recover() if self.store.pending else self._collect_and_store()
         self.counters["env_steps"] += self.settings.steps_per_round
-        losses = {}
         if self.env_steps >= self.settings.warmup_steps:
             with self.stopwatch("update"):
-                losses = self._update()
-        self._log_training(data, losses)
+                values |= self._update()
+        self._log(values | self._times())
         if self._due(self.settings.evaluation.every) and self.env_steps < self.settings.total_steps:
             with self.stopwatch("evaluate"):
                 self._evaluate()
         self.progress.advance(self.settings.steps_per_round)
         if self._due(self.settings.checkpoint.every):
             with self.stopwatch("checkpoint"):
-                self.checkpoints.save(self.env_steps)
+                self._save()
+
+    def _collect_and_store(self) -> Metrics:
+        with self.stopwatch("collect"):
+            data = self._collect()
+        with self.stopwatch("store"):
+            transitions = self._transitions(data)
+            require_finite(transitions.flatten_keys("/"), "the environment gave", self.env_steps)
+            self.store.extend(transitions)
+        return experience_metrics(data, self.settings.num_seeds, self.env)
+
+    def _recover(self) -> Metrics:
+        """A round whose transitions come from the log: they were stored after the checkpoint that was resumed."""
+        self.store.recover(self._round_size)
+        return {}
 
     def _collect(self) -> TensorDictBase:
         explores = self.settings.warmup_exploration or self.env_steps >= self.settings.warmup_steps
@@ -198,12 +247,32 @@ class Trainer:
         stored = data.select(*STORED).reshape(self.settings.num_seeds, -1)
         return stored.transpose(0, 1).reshape(-1)
 
-    def _update(self) -> dict[str, torch.Tensor]:
+    def _update(self) -> Metrics:
         k = self.settings.updates_per_round
         shape = k, self.settings.num_seeds, self.settings.batch_size
         with self.stopwatch("sample"):
             batches = self.replay.sample(k * shape[1] * shape[2]).select(*STORED).reshape(shape)
-        return self.agent.update(batches)
+        losses = self.agent.update(batches)
+        require_finite(losses, "the update gave", self.env_steps)
+        return {metrics.name(metrics.LOSS, k): v.tolist() for k, v in losses.items()}
+
+    def _save(self) -> None:
+        if not self.settings.total_steps:
+            return  # the controller alone: nothing to go on with
+        require_finite(dict(self.agent.named_parameters()), "not saved: the agent has", self.env_steps)
+        for logger in self.loggers:
+            logger.flush()
+        self.checkpoints.save(self.env_steps, {"transitions": self.store.mark(), "config": self.config})
+        self.store.log.forget(self.checkpoints.oldest_transition() - self.store.capacity)
+
+    def _stop_if_asked(self) -> None:
+        if self.interruption.signal is not None:
+            self._save()
+            self.interruption.check()
+
+    @property
+    def _round_size(self) -> int:
+        return self.settings.steps_per_round * self.settings.num_seeds
 
     def _due(self, every: int) -> bool:
         return bool(every) and self.env_steps % every == 0
@@ -213,42 +282,26 @@ class Trainer:
         self.progress.show(comparisons, self.env_steps)
         self._log_evaluation(scenario, comparisons)
 
+    def _evaluate_all(self) -> dict[str, list[Comparison]]:
+        results = {}
+        for scenario in self.progress.track(self.evaluator.scenarios, "evaluating"):
+            self._stop_if_asked()
+            episodes = self.settings.evaluation.final_episodes
+            results[scenario] = self.evaluator.compare(self.agent, self.settings.num_seeds, scenario, episodes)
+            self._log_evaluation(scenario, results[scenario])
+        return results
+
     def _log_evaluation(self, scenario: str, comparisons: list[Comparison]) -> None:
         rows = [metrics.evaluation(scenario, c.summary()) for c in comparisons]
         self._log({name: [row[name] for row in rows] for name in rows[0]})
 
-    def _log_training(self, data: TensorDictBase, losses: Mapping[str, torch.Tensor]) -> None:
-        values = experience_metrics(data, self.settings.num_seeds, self.env)
-        values |= {metrics.name(metrics.LOSS, k): v.tolist() for k, v in losses.items()}
-        for section, seconds in self.stopwatch.lap().items():
-            values[metrics.name(metrics.TIME, section)] = [seconds] * self.settings.num_seeds
-        self._log(values)
+    def _times(self) -> Metrics:
+        seeds = self.settings.num_seeds
+        return {metrics.name(metrics.TIME, section): [t] * seeds for section, t in self.stopwatch.lap().items()}
 
     def _log(self, values: metrics.Values) -> None:
         for logger in self.loggers:
             logger.log(values, self.env_steps)
-
-
-class CarriedObservation:
-    """The collector's current TensorDict, as a component of a checkpoint.
-
-    TorchRL's collector saves neither the environment's state nor the observation it is about to act on, and starts
-    a new episode after loading. With this and the environment's own state the episode goes on.
-    """
-
-    def __init__(self, collector: Collector) -> None:
-        self.collector = collector
-
-    def state_dict(self) -> dict[str, Any]:
-        """The entries by flattened key."""
-        flat = self.collector._carrier.flatten_keys("/")
-        return {str(key): value for key, value in flat.items()}
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Replace the entries."""
-        carrier = self.collector._carrier
-        for key, value in state.items():
-            carrier.set(tuple(key.split("/")), value)
 
 
 def _configure_torch(settings: TrainerSettings) -> None:

@@ -8,7 +8,7 @@ from scipy import stats
 
 from rrl.algorithms import TD3
 from rrl.controllers import ProportionalController
-from rrl.envs.insertion import InsertionEnv
+from rrl.envs import InsertionEnv
 from rrl.exploration import OrnsteinUhlenbeckExploration
 from rrl.trainers.config import CheckpointSettings, EvaluationSettings
 from rrl.trainers.environment import EnvironmentFactory, Input

@@ -27,11 +27,14 @@ from transform_cases import (
     observation_noise,
     random_actions,
     residual_with_memory,
+    safe_residual,
 )
 
 WORKERS = 2
 TIMED = {"latency", "tracker", "chain"}  # cases that need an order in time
-ON_ACTIONS = {"residual", "residual_with_memory", "residual_on_policy", "control_noise", "chain"}
+LIMITS = {"workspace_limit", "step_limit", "force_limit", "safe_residual"}
+ON_ACTIONS = {"residual", "residual_with_memory", "residual_on_policy", "control_noise", "chain"} | LIMITS
+OF_STEPS = {"executed_action", "safety"}  # records of a step, which data without an environment has none of
 
 each_case = pytest.mark.parametrize("name", CASES)
 
@@ -62,7 +65,7 @@ def test_serial_of_transformed(name: str) -> None:
     check_env_specs(SerialEnv(WORKERS, partial(make_env, CASES[name], (3,))))
 
 
-@pytest.mark.parametrize("factory", [residual_with_memory, control_noise, observation_noise, latency])
+@pytest.mark.parametrize("factory", [residual_with_memory, control_noise, observation_noise, latency, safe_residual])
 def test_parallel_of_transformed(factory: Factory) -> None:
     env = ParallelEnv(WORKERS, partial(make_env, factory, seed=None), mp_start_method="spawn")
     actions = random_actions(25, WORKERS, 2)
@@ -105,7 +108,7 @@ def expect_without_env(name: str, transform: nn.Module) -> None:
     before = data.clone()
     after = transform(data.clone())
     for key in transform.out_keys:
-        if key != "executed_action":
+        if (key if isinstance(key, str) else key[0]) not in OF_STEPS:
             assert after.get(key).isfinite().all()
     written = {str(key) for key in transform.out_keys}
     for key in before.keys(True, True):

@@ -1,0 +1,28 @@
+"""A frozen policy checkpoint as the controller: learn from nothing, save, and put a residual on what was learned."""
+
+from functools import partial
+
+import torch
+from point import Point
+from tensordict.nn import TensorDictSequential
+
+from rrl.controllers import PolicyController, ZeroController
+from rrl.trainers import EnvironmentFactory, Trainer, TrainerSettings
+
+
+def main(run_dir="outputs/frozen_policy", **settings):
+    """Train a policy without a controller, then a residual on that policy; return the second comparison."""
+    point = partial(EnvironmentFactory, base=Point, inputs=["position", "goal"], batching="serial")
+    alone = point(controller=partial(ZeroController, action_size=2))
+    with Trainer(TrainerSettings(**settings), alone, run_dir=f"{run_dir}/alone") as trainer:
+        trainer.run()
+    policy = TensorDictSequential(alone.reader(), trainer.agent.policy_of(0))  # reads position and goal
+    torch.save(policy.state_dict(), f"{run_dir}/policy.pt")
+
+    environment = point(controller=partial(PolicyController, policy, f"{run_dir}/policy.pt"), residual_scale=0.5)
+    with Trainer(TrainerSettings(**settings), environment, run_dir=f"{run_dir}/residual") as trainer:
+        return trainer.run()["training"][0].summary()
+
+
+if __name__ == "__main__":
+    print(main())

@@ -1,0 +1,24 @@
+"""Environments in processes of their own: one learner collects from two copies at once (``ParallelEnv``)."""
+
+from functools import partial
+
+from point import Point
+
+from rrl.controllers import ProportionalController
+from rrl.trainers import EnvironmentFactory, Trainer, TrainerSettings
+
+
+def main(run_dir="outputs/parallel_envs", **settings):
+    """Train a residual on a proportional controller and return the comparison with the controller alone."""
+    environment = EnvironmentFactory(
+        base=Point,
+        controller=partial(ProportionalController, position_key="position", gain=5.0),
+        inputs=["position", "goal"],
+        batching="parallel",
+    )
+    with Trainer(TrainerSettings(envs_per_seed=2, **settings), environment, run_dir=run_dir) as trainer:
+        return trainer.run()["training"][0].summary()
+
+
+if __name__ == "__main__":
+    print(main())

@@ -1,0 +1,116 @@
+"""Writing that a crash cannot tear, and checksums that tell when something else did."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+SEAL = "seal.json"
+SCHEMA_VERSION = 1
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Replace ``path`` by ``text``: whoever reads it, at whatever moment, finds all of the old or all of the new."""
+    partial = path.with_name(f".{path.name}.partial")
+    with partial.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    partial.replace(path)
+    sync(path.parent)
+
+
+def sync(path: Path) -> None:
+    """Have the disk itself hold a file's content, or a directory's list of names."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def seal(folder: Path, note: Mapping[str, Any]) -> None:
+    """Write ``seal.json``: schema version, size and SHA-256 of every file below ``folder``, and a note; then sync all.
+
+    Layout::
+
+        {"sha256": of the canonical JSON of "content",
+         "content": {"version": 1, "files": {"name": {"bytes": n, "sha256": "..."}}, "note": {...}}}
+    """
+    files = sorted(p for p in folder.rglob("*") if p.is_file())
+    inventory = {str(p.relative_to(folder)): {"bytes": p.stat().st_size, "sha256": _sha256(p)} for p in files}
+    content = {"version": SCHEMA_VERSION, "files": inventory, "note": dict(note)}
+    for path in files:
+        sync(path)
+    write_atomically(
+        folder / SEAL, json.dumps({"sha256": _digest(_canonical(content)), "content": content}, indent=1) + "\n"
+    )
+    for directory in (*(p for p in folder.rglob("*") if p.is_dir()), folder):
+        sync(directory)
+
+
+def check_seal(folder: Path) -> dict[str, Any]:
+    """Compare every file below ``folder`` with its checksum.
+
+    Returns:
+        The note that was sealed with the files.
+
+    Raises:
+        ValueError: whatever is missing, truncated, changed or of another schema version, by name.
+    """
+    content = _read_content(folder / SEAL)
+    for name, expected in content["files"].items():
+        path = folder / name
+        if not path.is_file():
+            raise ValueError(f"{name} is missing")
+        size = path.stat().st_size
+        if size != expected["bytes"]:
+            raise ValueError(f"{name} has {size} bytes, {expected['bytes']} were written")
+        if _sha256(path) != expected["sha256"]:
+            raise ValueError(f"{name} is not what was written (SHA-256 differs)")
+    return dict(content["note"])
+
+
+def read_note(folder: Path) -> dict[str, Any]:
+    """The note that was sealed with the files below ``folder``, without looking at the files.
+
+    Raises:
+        ValueError: if ``seal.json`` is missing, changed or of another schema version.
+    """
+    return dict(_read_content(folder / SEAL)["note"])
+
+
+def _read_content(path: Path) -> dict[str, Any]:
+    try:
+        sealed = json.loads(path.read_text(encoding="utf-8"))
+        content = sealed["content"]
+        intact = sealed["sha256"] == _digest(_canonical(content))
+    except FileNotFoundError:
+        raise ValueError(f"{path.name} is missing") from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{path.name} is torn: {error}") from error
+    if not intact:
+        raise ValueError(f"{path.name} is not what was written (SHA-256 differs)")
+    if content["version"] != SCHEMA_VERSION:
+        raise ValueError(f"written with schema version {content['version']}, this code reads {SCHEMA_VERSION}")
+    return dict(content)
+
+
+def _canonical(content: Any) -> bytes:
+    return json.dumps(content, sort_keys=True, separators=(",", ":")).encode()
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()

@@ -1,0 +1,71 @@
+"""What makes a run the same run: which settings may change when it is resumed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from fnmatch import fnmatchcase
+from typing import Any
+
+MAY_CHANGE = (
+    "name",
+    "logger",
+    "logger.*",
+    "render.*",
+    "trainer.total_steps",
+    "trainer.threads",
+    "trainer.evaluation.*",
+    "trainer.checkpoint.*",
+    "env.base.num_threads",
+    "env.scenarios*",
+    "env.renderer*",
+    "algorithm.agent.*_lr",
+    "algorithm.agent.compiled",
+)
+"""Dotted keys, with ``*`` for anything. Everything else decides what the learned parameters and the stored transitions
+mean, or which random numbers come next."""
+
+ABSENT = "(absent)"
+
+
+def require_same_run(saved: Mapping[str, Any], current: Mapping[str, Any]) -> None:
+    """Refuse to resume a run with a configuration that is not its own.
+
+    Args:
+        saved: the configuration that the checkpoint was made with.
+        current: the configuration to go on with.
+
+    Raises:
+        ValueError: with one line for every key that changed and may not: ``key: old -> new``.
+    """
+    changed = [
+        f"  {key}: {old} -> {new}" for key, (old, new) in differences(saved, current).items() if not _may_change(key)
+    ]
+    if changed:
+        raise ValueError(
+            "this is not the configuration that the run was made with:\n"
+            + "\n".join(changed)
+            + "\nResume with the old "
+            "values or start a new run. What may change: " + ", ".join(MAY_CHANGE)
+        )
+
+
+def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
+    """Dotted keys of all entries that differ, with both values as JSON."""
+    before, after = _leaves(old, ""), _leaves(new, "")
+    keys = sorted(before.keys() | after.keys())
+    values = {key: (before.get(key, ABSENT), after.get(key, ABSENT)) for key in keys}
+    return {key: pair for key, pair in values.items() if pair[0] != pair[1]}
+
+
+def _may_change(key: str) -> bool:
+    return any(fnmatchcase(key, pattern) for pattern in MAY_CHANGE)
+
+
+def _leaves(node: Any, path: str) -> dict[str, str]:
+    if isinstance(node, Mapping) and node:
+        found: dict[str, str] = {}
+        for key, child in node.items():
+            found |= _leaves(child, f"{path}.{key}" if path else str(key))
+        return found
+    return {path: json.dumps(node, default=str)} if path else {}

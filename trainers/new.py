@@ -1,0 +1,43 @@
+"""``rrl new NAME``: a folder with an environment, a controller and their configuration, which trains as it stands."""
+
+from __future__ import annotations
+
+import keyword
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+
+PLACEHOLDER = "__project__"
+"""Stands for the project's name in the template's file names and texts."""
+SUFFIX = ".template"
+
+
+def create(name: str, folder: Path) -> list[Path]:
+    """Copy the template to ``folder / name``.
+
+    Args:
+        name: of the project and of its Python package.
+        folder: where the project's folder is made.
+
+    Returns:
+        The files that were written.
+
+    Raises:
+        ValueError: if ``name`` cannot be imported as a package or would hide this one.
+        FileExistsError: if there is something of that name already.
+    """
+    if not name.isidentifier() or keyword.iskeyword(name) or name in ("rrl", "configs"):
+        raise ValueError(f"expected a name that Python can import, such as my_project, got {name!r}")
+    target = folder / name
+    if target.exists():
+        raise FileExistsError(f"{target} exists already: choose another name")
+    return sorted(_copy(files(__package__) / "template", target, name))
+
+
+def _copy(source: Traversable, target: Path, name: str) -> list[Path]:
+    if source.is_file():
+        target.parent.mkdir(parents=True, exist_ok=True)
+        path = target.with_name(target.name.removesuffix(SUFFIX))
+        path.write_text(source.read_text(encoding="utf-8").replace(PLACEHOLDER, name), encoding="utf-8")
+        return [path]
+    return [p for child in source.iterdir() for p in _copy(child, target / child.name.replace(PLACEHOLDER, name), name)]

@@ -1,0 +1,280 @@
+"""Every transition on disk the moment it is stored, in files that only grow.
+
+Layout, below the run's directory::
+
+    transitions/
+        schema.json                  {"version": 1, "records_per_segment": R, "fields": [[key, dtype, shape], ...]}
+        segment_000000.bin           records 0 .. R - 1
+        segment_000001.bin           records R .. 2R - 1; the last segment is the one that grows
+        tail_000000005000_000.bin    records from 5000 on that a resumed run made anew; see :meth:`TransitionLog.cut`
+
+    one record:  field | field | ... | crc32
+
+A record is one transition: its fields one after the other without gaps, little endian, then the CRC-32 of these bytes
+continued from the record before it (the first of a segment from the segment's number). So every record is checked by
+itself and for its place, and a checksum stands for all before it. Nothing is pickled; ``numpy.fromfile`` reads it.
+
+A record that was handed to the operating system survives the death of the process. The disk itself is made to hold it
+by :meth:`TransitionLog.sync`, with every checkpoint, which is what a loss of power goes back to.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDict, TensorDictBase
+
+from .files import sync, write_atomically
+
+FOLDER = "transitions"
+SCHEMA = "schema.json"
+CHECKSUM = "crc32"
+VERSION = 1
+SEGMENT_BYTES = 16 * 2**20
+
+Records = NDArray[np.void]
+
+
+class TransitionLog:
+    """The transitions of one run, numbered from 0 in the order in which they were stored.
+
+    Args:
+        folder: where the files lie; opened if it has any, made with the first transition if not.
+        segment_bytes: size at which a new segment starts.
+
+    Attributes:
+        count: number of whole records.
+
+    Raises:
+        ValueError: if ``schema.json`` is of another version or unreadable.
+    """
+
+    def __init__(self, folder: Path, segment_bytes: int = SEGMENT_BYTES) -> None:
+        self.folder, self._segment_bytes = folder, segment_bytes
+        self.count = 0
+        self._dtype: np.dtype[np.void] | None = None
+        self._descriptor: int | None = None
+        self._unsynced: set[Path] = set()
+        if (folder / SCHEMA).is_file():
+            self._open()
+
+    def append(self, transitions: TensorDictBase) -> None:
+        """Write transitions ``[n]`` behind the last one.
+
+        Raises:
+            ValueError: if they have other entries than the ones before.
+            OSError: if they cannot be written; what was there before stays whole.
+        """
+        if self._dtype is None:
+            self._create(transitions)
+        records = _pack(transitions, self._record)
+        while len(records):
+            segment, at = divmod(self.count, self._per_segment)
+            part, records = np.split(records, [self._per_segment - at])
+            self._seal(part, segment, at)
+            self._write(part, segment, at)
+            self.count += len(part)
+
+    def checksum(self, count: int) -> int:
+        """The checksum of record ``count - 1``, which stands for all before it; 0 for none."""
+        return int(self._records(count - 1, count)[CHECKSUM][0]) if count else 0
+
+    def read(self, first: int, last: int) -> tuple[TensorDict, list[int]]:
+        """Records ``first .. last - 1``, and which of them fail their checksum."""
+        records = self._records(first, last)
+        damaged = self._damaged(records, first)
+        fields = {
+            tuple(key.split("/")): torch.from_numpy(np.ascontiguousarray(records[key]))
+            for key in self._record.names or ()
+            if key != CHECKSUM
+        }
+        return TensorDict(fields, [len(records)]), damaged
+
+    def sync(self) -> None:
+        """Have the disk hold everything that was appended. The cost is that of what came since the last time."""
+        for path in self._unsynced:
+            sync(path)
+        if self._unsynced:
+            sync(self.folder)
+        self._unsynced.clear()
+
+    def cut(self, count: int) -> Path | None:
+        """Set the records from ``count`` on aside in a tail file of the same format.
+
+        Returns:
+            The tail file; None if there was nothing to set aside.
+        """
+        self.close()
+        paths = [p for p in self._segments() if (_number(p) + 1) * self._per_segment > count]
+        offsets = [max(0, count - _number(p) * self._per_segment) * self._record.itemsize for p in paths]
+        tail = b"".join(p.read_bytes()[offset:] for p, offset in zip(paths, offsets, strict=True))
+        if not tail:
+            return None
+        out = self._write_tail(tail, count)
+        for path, offset in reversed(list(zip(paths, offsets, strict=True))):  # from the end: never a hole
+            if offset:
+                os.truncate(path, offset)
+            else:
+                path.unlink()
+        sync(self.folder)
+        self.count = count
+        return out
+
+    def forget(self, first: int) -> None:
+        """Remove the segments that lie wholly before record ``first``."""
+        for path in self._segments() if first > 0 else ():
+            if (_number(path) + 1) * self._per_segment <= first:
+                path.unlink()
+
+    def close(self) -> None:
+        """Close the file that grows."""
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+
+    @property
+    def _record(self) -> np.dtype[np.void]:
+        assert self._dtype is not None
+        return self._dtype
+
+    def _create(self, transitions: TensorDictBase) -> None:
+        flat = transitions.flatten_keys("/")
+        fields = [[key, str(value[:0].numpy().dtype), list(value.shape[1:])] for key, value in sorted(flat.items())]
+        size = _dtype(fields).itemsize
+        schema = {
+            "version": VERSION,
+            "records_per_segment": max(1, self._segment_bytes // size),
+            "fields": fields,
+        }
+        self.folder.mkdir(parents=True, exist_ok=True)
+        write_atomically(self.folder / SCHEMA, json.dumps(schema, indent=1) + "\n")
+        self._open()
+
+    def _open(self) -> None:
+        path = self.folder / SCHEMA
+        try:
+            schema: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            version = schema["version"]
+            self._per_segment = int(schema["records_per_segment"])
+            self._dtype = _dtype(schema["fields"])
+        except (ValueError, KeyError, TypeError) as error:
+            raise ValueError(f"{path} does not describe transitions: {error}") from error
+        if version != VERSION:
+            raise ValueError(f"{path} has version {version}, this code reads {VERSION}")
+        segments = self._segments()
+        if segments:
+            whole = segments[-1].stat().st_size // self._record.itemsize
+            self.count = _number(segments[-1]) * self._per_segment + whole
+
+    def _segments(self) -> list[Path]:
+        return sorted(self.folder.glob("segment_*.bin"))
+
+    def _path(self, segment: int) -> Path:
+        return self.folder / f"segment_{segment:06d}.bin"
+
+    def _seal(self, records: Records, segment: int, at: int) -> None:
+        """Fill in the checksums of records that go to place ``at`` of ``segment``."""
+        checksum = self.checksum(self.count) if at else segment
+        size = self._record.itemsize
+        data = _bytes(records)
+        for i in range(len(records)):
+            checksum = zlib.crc32(data[i * size : (i + 1) * size - 4], checksum)
+            records[CHECKSUM][i] = checksum
+
+    def _write(self, records: Records, segment: int, at: int) -> None:
+        path, start = self._path(segment), at * self._record.itemsize
+        if at == 0 or self._descriptor is None:
+            self.close()
+            self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT, 0o666)
+        data = _bytes(records)
+        self._unsynced.add(path)
+        try:
+            written = 0
+            while written < len(data):
+                written += os.pwrite(self._descriptor, data[written:], start + written)
+        except OSError as error:
+            os.ftruncate(self._descriptor, start)
+            raise OSError(
+                error.errno, f"{error.strerror}; {self.count} transitions before it are whole", str(path)
+            ) from error
+
+    def _records(self, first: int, last: int) -> Records:
+        """Raw records, from as many segments as it takes.
+
+        Raises:
+            ValueError: if some of them are not there.
+        """
+        parts, at = [], first
+        while at < last:
+            segment, offset = divmod(at, self._per_segment)
+            number = min(last - at, self._per_segment - offset)
+            path = self._path(segment)
+            part = np.empty(0, self._record)
+            if path.is_file():
+                part = np.fromfile(path, self._record, number, offset=offset * self._record.itemsize)
+            if len(part) < number:
+                raise ValueError(f"{path} ends before record {at + number}")
+            parts.append(part)
+            at += number
+        return np.concatenate(parts) if parts else np.empty(0, self._record)
+
+    def _damaged(self, records: Records, first: int) -> list[int]:
+        size = self._record.itemsize
+        data = _bytes(records)
+        stored: list[int] = records[CHECKSUM].tolist()
+        in_segment = first % self._per_segment
+        before = self.checksum(first) if in_segment and len(records) else 0
+        damaged = []
+        for i, checksum in enumerate(stored):
+            segment, at = divmod(first + i, self._per_segment)
+            if zlib.crc32(data[i * size : (i + 1) * size - 4], before if at else segment) != checksum:
+                damaged.append(first + i)
+            before = checksum
+        return damaged
+
+    def _write_tail(self, data: bytes, count: int) -> Path:
+        taken = len(list(self.folder.glob(f"tail_{count:012d}_*.bin")))
+        out = self.folder / f"tail_{count:012d}_{taken:03d}.bin"
+        partial = out.with_suffix(".partial")
+        partial.write_bytes(data)
+        sync(partial)
+        partial.replace(out)
+        sync(self.folder)
+        return out
+
+
+def _bytes(records: Records) -> memoryview:
+    return records.view(np.uint8).reshape(-1).data
+
+
+def _number(segment: Path) -> int:
+    return int(segment.stem.rpartition("_")[2])
+
+
+def _dtype(fields: list[Any]) -> np.dtype[np.void]:
+    columns = [(key, np.dtype(dtype).newbyteorder("<"), tuple(shape)) for key, dtype, shape in fields]
+    return np.dtype([*columns, (CHECKSUM, "<u4")])
+
+
+def _pack(transitions: TensorDictBase, record: np.dtype[np.void]) -> Records:
+    flat = transitions.flatten_keys("/")
+    expected = set(record.names or ()) - {CHECKSUM}
+    if set(flat.keys()) != expected:
+        raise ValueError(f"expected transitions with {sorted(expected)}, got {sorted(flat.keys())}")
+    records = np.zeros(len(flat), record)
+    for key, value in flat.items():
+        array = value.numpy()
+        if array.shape[1:] != record[key].shape or array.dtype != record[key].base:
+            raise ValueError(
+                f"transition entry {key!r}: expected {record[key].shape} of {record[key].base}, got {array.shape[1:]} "
+                f"of {array.dtype}"
+            )
+        records[key] = array
+    return records
