@@ -66,9 +66,7 @@ class InsertionEnv(EnvBase):
         seed: int | None = 0,
         **overrides: Any,
     ) -> None:
-        for name, value in (("num_envs", num_envs), ("num_threads", num_threads)):
-            if not isinstance(value, int) or value < 1:
-                raise ValueError(f"{name} must be a whole number of at least 1, got {value!r}")
+        self.check_arguments(variant, num_envs, num_threads, seed, **overrides)
         super().__init__(device="cpu", batch_size=[num_envs])
         self.config = make_config(variant, overrides)
         self.num_envs = num_envs
@@ -79,6 +77,29 @@ class InsertionEnv(EnvBase):
         self._generators: list[np.random.Generator] = []
         self._make_specs()
         self._set_seed(seed)
+
+    @staticmethod
+    def check_arguments(
+        variant: str | InsertionConfig = "sim",
+        num_envs: int = 1,
+        num_threads: int = 1,
+        seed: int | None = 0,
+        **overrides: Any,
+    ) -> dict[str, int]:
+        """Finds what is wrong with arguments of the constructor without building physics.
+
+        Returns:
+            The size of each observation entry.
+
+        Raises:
+            ValueError: what the constructor would raise.
+        """
+        for name, value in (("num_envs", num_envs), ("num_threads", num_threads)):
+            if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+                raise ValueError(f"{name} must be a whole number of at least 1, got {value!r}")
+        if seed is not None and (not isinstance(seed, int) or seed < 0):
+            raise ValueError(f"seed must be a whole number of at least 0, or None, got {seed!r}")
+        return quantities.observation_sizes(make_config(variant, overrides))
 
     # ---------------------------------------------------------------- specs
 

@@ -23,7 +23,10 @@ def per_dimension(
         ValueError: If it is neither, not finite, below the minimum, or not positive but must be.
 
     """
-    tensor = torch.as_tensor(value, dtype=torch.float32).detach().clone()
+    try:
+        tensor = torch.as_tensor(value, dtype=torch.float32).detach().clone()
+    except (TypeError, ValueError, RuntimeError):
+        raise ValueError(f"{name} must be a number or a list with one number a dimension, got {value!r}.") from None
     if tensor.ndim > 1 or tensor.numel() == 0:
         raise ValueError(f"{name} must be a number or a list with one number a dimension, got {value!r}.")
     if not tensor.isfinite().all():

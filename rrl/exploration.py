@@ -124,3 +124,46 @@ class OrnsteinUhlenbeckExploration(TensorDictModuleBase):
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore the generators' state."""
         self.generators.load_state_dict(state)
+
+
+class NoExploration(TensorDictModuleBase):
+    """Leave the action as it is: for policies that are stochastic themselves, such as SAC's.
+
+    Args:
+        spec, num_slots, seed: not used; what the trainer tells every exploration module.
+    """
+
+    in_keys = (ACTION,)
+    out_keys = (ACTION,)
+
+    def __init__(self, spec: TensorSpec, *, num_slots: int = 1, seed: int = 0) -> None:
+        super().__init__()
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Return ``tensordict`` unchanged."""
+        return tensordict
+
+
+class Ramp(TensorDictModuleBase):
+    """Multiply the exploring policy's action by ``share``: the schedule of a residual's authority.
+
+    It stands after the exploration noise, so that the action that is stored is the one that acted. The transitions of
+    every share therefore belong to one and the same environment, and critics can learn from all of them; changing the
+    scale inside the environment would give one stored action different effects. Evaluation runs the policy itself.
+
+    Attributes:
+        share: from 0, the controller alone, to 1, the whole action; set by the trainer.
+    """
+
+    in_keys = (ACTION,)
+    out_keys = (ACTION,)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.share = 1.0
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Scale ``action`` in place, if the exploration type is random."""
+        if self.share != 1.0 and exploration_type() in (ExplorationType.RANDOM, None):
+            tensordict.set(ACTION, tensordict.get(ACTION) * self.share)
+        return tensordict

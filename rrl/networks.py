@@ -95,6 +95,8 @@ class StackedMLP(nn.Module):
         generators: Sequence[torch.Generator],
     ) -> None:
         super().__init__()
+        if isinstance(hidden, str) or not all(isinstance(width, int) and width > 0 for width in hidden):
+            raise ValueError(f"hidden: expected a list of widths, whole numbers of at least 1, got {hidden!r}")
         self.num_seeds = num_seeds
         self.squash = squash
         layers: list[nn.Module] = []

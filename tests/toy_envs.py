@@ -115,6 +115,18 @@ class PointMass(EnvBase):
         self._generators.seed(seed)
 
 
+class RememberingPointMass(PointMass):
+    """A point whose state can be saved, as a simulator's can."""
+
+    def get_extra_state(self):
+        state = {"position": self._position, "goal": self._goal, "steps": self._steps}
+        return {**state, "generators": self._generators.state_dict()}
+
+    def set_extra_state(self, state):
+        self._position, self._goal, self._steps = state["position"], state["goal"], state["steps"]
+        self._generators.load_state_dict(state["generators"])
+
+
 class ResetsItself(PointMass):
     """Starts the next episode within the step that ends one, as vectorised simulators do."""
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
-import inspect
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from . import checks
 from .config import TrainerSettings
 from .environment import EnvironmentFactory, Input
 from .loggers import MetricsLogger
@@ -22,7 +21,7 @@ Config = Mapping[str, Any]
 def build(node: Config) -> Any:
     """Turn a node with ``_target_`` into a factory: a partial of the target with the node's other entries."""
     arguments = {key: value for key, value in node.items() if key != "_target_"}
-    return partial(_locate(node["_target_"]), **arguments)
+    return partial(checks.locate(node["_target_"]), **arguments)
 
 
 def settings(config: Config) -> TrainerSettings:
@@ -79,51 +78,15 @@ def trainer(config: Config, run_dir: Path, progress: Progress | None = None) -> 
 
 
 def check(config: Config) -> None:
-    """Find what is wrong with a configuration before anything is built.
+    """Find what is wrong with a configuration before any environment is built.
 
     Raises:
-        ValueError: with every problem found in a ``_target_`` node, one per line: where, what came, what is known.
-        pydantic.ValidationError: problems of the trainer's settings.
+        ValueError: with every problem, one per line: where, what was expected, what came.
 
     """
-    settings(config)
-    problems = [p for path, node in _targets(config, "") for p in _check_target(path, node)]
-    if not config["env"]["scenarios"]:
-        problems.append("env.scenarios: expected at least one scenario to evaluate on, got none")
-    if not config["env"]["inputs"]:
-        problems.append("env.inputs: expected at least one observation entry for the policy, got none")
-    if problems:
+    if problems := checks.problems(config):
         raise ValueError("\n".join(problems))
 
 
 def _enabled(nodes: Config | None) -> list[Config]:
     return [node for node in (nodes or {}).values() if node]
-
-
-def _targets(node: Any, path: str) -> Iterator[tuple[str, Config]]:
-    if isinstance(node, Mapping):
-        if "_target_" in node:
-            yield path, node
-        for key, child in node.items():
-            yield from _targets(child, f"{path}.{key}" if path else str(key))
-
-
-def _check_target(path: str, node: Config) -> list[str]:
-    try:
-        target = _locate(node["_target_"])
-    except ValueError as error:
-        return [f"{path}: {error}"]
-    parameters = inspect.signature(target).parameters
-    if any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
-        return []
-    unknown = sorted(set(node) - set(parameters) - {"_target_"})
-    return [f"{path}: {node['_target_']} does not take {key!r}; it takes {sorted(parameters)}" for key in unknown]
-
-
-def _locate(path: str) -> Any:
-    """Import ``package.module.name``."""
-    module, _, name = path.rpartition(".")
-    try:
-        return getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f"_target_ {path!r} cannot be imported: {error}") from error

@@ -26,6 +26,7 @@ Loading executes no code: tensors are read as weights only, the rest is JSON and
 from __future__ import annotations
 
 import logging
+import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -34,7 +35,7 @@ from typing import Any
 import torch
 from torchrl.checkpoint import Checkpoint, CheckpointAdapter, GlobalRNGState
 
-from .files import check_seal, read_note, seal, sync
+from .files import check_seal, lock, read_note, seal, sync
 from .layout import CHECKPOINTS
 
 log = logging.getLogger(__name__)
@@ -57,9 +58,25 @@ class Checkpoints:
 
     def __init__(self, run_dir: Path, keep: int, components: Mapping[str, Any]) -> None:
         self._folder, self._keep = run_dir / CHECKPOINTS, keep
+        self._lock: int | None = None
         self._checkpoint = Checkpoint()
         for name, component in {**components, "rng": GlobalRNGState()}.items():
             self._checkpoint.register(name, component, adapter=_WeightsOnly())
+
+    def claim(self) -> None:
+        """Keep other processes from training in the run's directory, until :meth:`release` or the process's death.
+
+        Raises:
+            BlockingIOError: if another process does.
+        """
+        if self._lock is None:
+            self._lock = lock(self._folder.parent)
+
+    def release(self) -> None:
+        """Let others train in the run's directory."""
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
 
     def save(self, env_steps: int, note: Note) -> Path:
         """Write a checkpoint and drop the ones beyond ``keep``; a kill at any moment leaves the ones before.

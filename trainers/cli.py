@@ -151,19 +151,11 @@ def _run(command: str, hydra_config: DictConfig, *, resume: bool) -> None:
 
 
 def _message(error: BaseException) -> str:
-    """An error in one paragraph; a KeyError without its quotes, pydantic's list without its links."""
-    from pydantic import ValidationError
-
-    if isinstance(error, ValidationError):
-        lines = [
-            f"trainer.{'.'.join(map(str, e['loc']))}: {e['msg']}, got {e['input']!r}"
-            if e["loc"]
-            else e["msg"].removeprefix("Value error, ")
-            for e in error.errors()
-        ]
-        return "\n".join(lines)
+    """An error in one paragraph; a KeyError without its quotes."""
     if isinstance(error, KeyError) and error.args:
         return str(error.args[0])
     if isinstance(error, OSError) and error.strerror and error.filename:
         return f"{error.filename}: {error.strerror}"
-    return str(error) or type(error).__name__
+    text = str(error) or type(error).__name__
+    cause = str(error.__cause__ or "").partition("\n")[0]  # Hydra keeps the reason there
+    return text if cause in text else f"{text}\n{cause}"

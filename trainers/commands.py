@@ -30,6 +30,7 @@ def train(config: assembly.Config, run_dir: Path, console: Console, *, resume: b
     try:
         if resume:
             _resume(trainer, console)
+        trainer.require_new_or_resumed()
         write_atomically(run_dir / CONFIG_FILE, yaml.safe_dump(dict(config), sort_keys=False))
         results = trainer.run()
         _report(config, trainer, results, console)

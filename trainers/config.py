@@ -8,10 +8,13 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Positive = Annotated[int, Field(gt=0)]
 NonNegative = Annotated[int, Field(ge=0)]
+Seed = Annotated[int, Field(ge=0, lt=2**31)]
+Capacity = Annotated[int, Field(gt=0, le=2**24)]
+"""The replay sampler draws indices that float32 holds exactly."""
 
 
 class _Settings(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 class EvaluationSettings(_Settings):
@@ -29,7 +32,7 @@ class EvaluationSettings(_Settings):
     every: NonNegative = 500
     episodes: Positive = 50
     final_episodes: Positive = 100
-    seed: NonNegative = 10_000
+    seed: Seed = 10_000
     slots: Positive = 100
 
 
@@ -59,6 +62,9 @@ class TrainerSettings(_Settings):
             controller's own episodes.
         steps_per_collection: environment steps per environment between two rounds of updates.
         updates_per_step: gradient updates per environment step of one seed.
+        n_step: rewards summed before the critics bootstrap; a sum ends with its episode and with its collection.
+        residual_ramp_steps: environment steps per seed over which the exploring policy's share of its action grows from
+            0 to 1, so that the controller leads at the start; 0: it is 1 from the start.
         batch_size: transitions per update and seed.
         buffer_capacity: transitions kept per seed.
         threads: torch threads.
@@ -69,7 +75,7 @@ class TrainerSettings(_Settings):
 
     """
 
-    seed: NonNegative = 0
+    seed: Seed = 0
     num_seeds: Positive = 1
     envs_per_seed: Positive = 1
     total_steps: NonNegative = 10_000
@@ -77,8 +83,10 @@ class TrainerSettings(_Settings):
     warmup_exploration: bool = True
     steps_per_collection: Positive = 50
     updates_per_step: Annotated[float, Field(gt=0)] = 1.0
+    n_step: Positive = 1
+    residual_ramp_steps: NonNegative = 0
     batch_size: Positive = 128
-    buffer_capacity: Positive = 1_000_000
+    buffer_capacity: Capacity = 1_000_000
     threads: Positive = 1
     flush_denormals: bool = True
     matmul_precision: Annotated[str, Field(pattern="^(highest|high|medium)$")] = "highest"
@@ -100,6 +108,10 @@ class TrainerSettings(_Settings):
         """Updates after each collection."""
         return round(self.steps_per_round * self.updates_per_step)
 
+    def residual_share(self, env_steps: int) -> float:
+        """Share of the policy's action that acts after ``env_steps`` steps of one seed."""
+        return min(1.0, env_steps / self.residual_ramp_steps) if self.residual_ramp_steps else 1.0
+
     @model_validator(mode="after")
     def _check(self) -> TrainerSettings:
         if self.total_steps and self.warmup_steps >= self.total_steps:
@@ -117,9 +129,19 @@ class TrainerSettings(_Settings):
                 f"updates_per_step ({self.updates_per_step}) x steps of a collection ({self.steps_per_round}) must be "
                 "a whole number of updates"
             )
+        if self.n_step > self.steps_per_collection:
+            raise ValueError(
+                f"n_step ({self.n_step}) must not exceed steps_per_collection ({self.steps_per_collection}): returns "
+                "are summed within one collection"
+            )
         if self.buffer_capacity < self.batch_size:
             raise ValueError(
                 f"buffer_capacity ({self.buffer_capacity}) must hold at least one batch ({self.batch_size})"
+            )
+        if self.buffer_capacity < self.steps_per_round:
+            raise ValueError(
+                f"buffer_capacity ({self.buffer_capacity}) must hold at least one collection, steps_per_collection x "
+                f"envs_per_seed ({self.steps_per_round})"
             )
         for name in ("evaluation", "checkpoint"):
             every = getattr(self, name).every

@@ -38,19 +38,19 @@ def experience_metrics(data: TensorDictBase, num_seeds: int, env: TransformedEnv
     return values | _shares(data, env)
 
 
-def require_finite(tensors: Mapping[str, Tensor], what: str, env_steps: int) -> None:
+def require_finite(tensors: Mapping[str, Tensor], what: str) -> None:
     """Stop a run before a number that is not finite is stored or saved.
 
     Raises:
-        FloatingPointError: naming the entries, the step, and that the run is safe on disk up to the step before.
+        FloatingPointError: naming the entries, and that everything before is safe on disk.
 
     """
     broken = [name for name, value in tensors.items() if value.is_floating_point() and not value.isfinite().all()]
     if broken:
         more = f" and {len(broken) - 3} more" if len(broken) > 3 else ""
         raise FloatingPointError(
-            f"{what} numbers that are not finite in {', '.join(broken[:3])}{more} at step {env_steps}; everything "
-            "before is on disk: the newest checkpoint and all transitions"
+            f"{what} numbers that are not finite in {', '.join(broken[:3])}{more}; everything before "
+            "is on disk: the newest checkpoint and all transitions"
         )
 
 

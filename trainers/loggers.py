@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import logging
 import os
@@ -73,7 +74,10 @@ class Guarded(MetricsLogger):
         self._try("flush")
 
     def finish(self) -> None:
-        """Close a sink that was opened, broken or not."""
+        """Close a sink that was opened; one that is broken may fail silently."""
+        if self._state == "broken":
+            with contextlib.suppress(Exception):
+                self.logger.finish()
         self._try("finish")
         self._state = "idle"
 
@@ -213,6 +217,8 @@ class WandbLogger(MetricsLogger):
             if not self.online:
                 raise
             _log.warning("W&B cannot be reached (%s); logging offline, `wandb sync` uploads it later", error)
+            if wandb.run is None:
+                wandb.teardown()  # the failed attempt holds on to the run's id
             self.run = wandb.init(mode="offline", **arguments)
         self.run.define_metric(STEP_AXIS)
         self.run.define_metric("*", step_metric=STEP_AXIS)

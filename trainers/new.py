@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import keyword
 from importlib.resources import files
-from importlib.resources.abc import Traversable
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from importlib.resources.abc import Traversable  # Python 3.11
 
 PLACEHOLDER = "__project__"
 """Stands for the project's name in the template's file names and texts."""

@@ -8,12 +8,27 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
-from torchrl.data import TensorDictReplayBuffer
+from tensordict import NestedKey, TensorDict, TensorDictBase
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
+from rrl.keys import ACTION, OBSERVATION
+from rrl.n_step import STEPS, n_step_transitions
+from rrl.replay import StackedSampler
+
+from .diagnostics import require_finite
 from .transition_log import FOLDER, TransitionLog
 
 log = logging.getLogger(__name__)
+
+STORED = (
+    OBSERVATION,
+    ACTION,
+    ("next", OBSERVATION),
+    ("next", "reward"),
+    ("next", "done"),
+    ("next", "terminated"),
+)
+"""What the replay buffer keeps: the *policy's* action, before controller and disturbance (algorithm 1)."""
 
 CHUNK = 2**16
 """Records read at once when a buffer is filled from the log."""
@@ -33,27 +48,53 @@ class ReplayStore:
 
     Args:
         run_dir: the run's directory.
-        replay: the buffer, with a storage of fixed capacity and a round-robin writer.
-        num_seeds: seeds whose transitions are interleaved.
+        sampler: draws every seed's batches; tells the number of seeds whose transitions are interleaved.
+        capacity: transitions that the buffer keeps per seed.
+        n_step, gamma: rewards that a stored transition sums, and their discount; see
+            :func:`rrl.n_step.n_step_transitions`.
+
+    Attributes:
+        count: transitions stored so far, of all seeds.
     """
 
-    def __init__(self, run_dir: Path, replay: TensorDictReplayBuffer, num_seeds: int) -> None:
-        self.replay, self.num_seeds = replay, num_seeds
+    def __init__(
+        self, run_dir: Path, sampler: StackedSampler, capacity: int, n_step: int = 1, gamma: float = 1.0
+    ) -> None:
+        self.n_step, self.gamma = n_step, gamma
+        self.keys: tuple[NestedKey, ...] = (*STORED, STEPS) if n_step > 1 else STORED
+        self.sampler, self.num_seeds = sampler, sampler.num_seeds
+        self.capacity = capacity * sampler.num_seeds
+        self.replay = TensorDictReplayBuffer(storage=LazyTensorStorage(self.capacity), sampler=sampler)
         self.log = TransitionLog(run_dir / FOLDER)
         self.count = 0
-
-    @property
-    def capacity(self) -> int:
-        """Entries of the buffer."""
-        return int(self.replay.storage.max_size)
 
     @property
     def pending(self) -> int:
         """Transitions in the log that are not in the buffer."""
         return self.log.count - self.count
 
-    def extend(self, transitions: TensorDictBase) -> None:
-        """Store transitions ``[n]``; when this returns they survive the death of the process."""
+    def sample(self, k: int) -> TensorDictBase:
+        """Draw ``k`` batches for every seed, ``[k, S, B]``."""
+        shape = k, self.num_seeds, self.sampler.batch_size
+        return self.replay.sample(k * shape[1] * shape[2]).select(*self.keys).reshape(shape)
+
+    def interleave(self, data: TensorDictBase) -> TensorDictBase:
+        """What is stored of collected ``data``, ``[S * E, T]`` to ``[E * T * S]``; see :class:`StackedSampler`."""
+        stored = data.select(*STORED)
+        if self.n_step > 1:
+            stored = n_step_transitions(stored, self.n_step, self.gamma)
+        stored = stored.reshape(self.num_seeds, -1)
+        return stored.transpose(0, 1).reshape(-1)
+
+    def extend(self, data: TensorDictBase) -> None:
+        """Store collected ``data`` ``[S * E, T]``; when this returns it survives the death of the process.
+
+        Raises:
+            FloatingPointError: if there are numbers in it that are not finite; nothing is stored.
+            OSError: if the disk is full or gone.
+        """
+        transitions = self.interleave(data)
+        require_finite(transitions.flatten_keys("/"), "the environment gave")
         self.log.append(transitions)
         self.replay.extend(transitions)
         self.count += len(transitions)

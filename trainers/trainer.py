@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import warnings
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.collectors import Collector
-from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs.transforms import InitTracker
 from torchrl.envs.utils import ExplorationType
 
 from rrl.algorithms import TD3
-from rrl.exploration import GaussianExploration
+from rrl.exploration import GaussianExploration, Ramp
 from rrl.keys import ACTION, OBSERVATION
 from rrl.random import seed_env
 from rrl.replay import StackedSampler
@@ -33,19 +31,12 @@ from .evaluator import Evaluator
 from .identity import require_same_run
 from .interruption import Interruption
 from .loggers import CSVLogger, Guarded, MetricsLogger
+from .process import configure_process
 from .progress import Progress
 from .replay_store import ReplayStore
 from .timing import Stopwatch
 
-STORED = (
-    OBSERVATION,
-    ACTION,
-    ("next", OBSERVATION),
-    ("next", "reward"),
-    ("next", "done"),
-    ("next", "terminated"),
-)
-"""What the replay buffer keeps: the *policy's* action, before controller and disturbance (algorithm 1)."""
+log = logging.getLogger(__name__)
 
 DEFAULT_EXPLORATION = partial(GaussianExploration, sigma=0.2)
 
@@ -88,7 +79,7 @@ class Trainer:
         self.interruption = Interruption()
         self.progress = progress or Progress.silent()
         self.stopwatch = Stopwatch()
-        _configure_torch(settings)
+        configure_process(settings)
         self.run_dir.mkdir(parents=True, exist_ok=True)
 
         num_envs = settings.num_seeds * settings.envs_per_seed
@@ -105,7 +96,8 @@ class Trainer:
         self.exploration = exploration(spec=action_spec, num_slots=num_envs, seed=first_seed)
         if "is_init" in self.exploration.in_keys:
             self.env.append_transform(InitTracker())
-        self.behaviour = TensorDictSequential(self.agent.policy, self.exploration)
+        self.ramp = Ramp()
+        self.behaviour = TensorDictSequential(self.agent.policy, self.exploration, self.ramp)
         self.collector = Collector(
             self.env,
             self.behaviour,
@@ -117,11 +109,9 @@ class Trainer:
             exploration_type=ExplorationType.RANDOM,
         )
         self.sampler = StackedSampler(settings.num_seeds, settings.seed, settings.batch_size)
-        self.replay = TensorDictReplayBuffer(
-            storage=LazyTensorStorage(settings.buffer_capacity * settings.num_seeds),
-            sampler=self.sampler,
-        )
-        self.store = ReplayStore(self.run_dir, self.replay, settings.num_seeds)
+        returns = {"n_step": settings.n_step, "gamma": self.agent.gamma} if settings.n_step > 1 else {}
+        self.store = ReplayStore(self.run_dir, self.sampler, settings.buffer_capacity, **returns)
+        self.replay = self.store.replay
         self.evaluator = Evaluator(scenarios or {"training": environment}, settings.evaluation)
         self.counters: dict[str, int] = {"env_steps": 0}
         self._resumed = False
@@ -156,6 +146,7 @@ class Trainer:
             ValueError: if none is whole, or the configuration is not the run's own.
 
         """
+        self.checkpoints.claim()
         path, note, torn = newest_whole(self.run_dir, lambda note: self.store.check(note["transitions"]))
         require_same_run(note["config"], self.config)
         self.checkpoints.load(path, torn)
@@ -175,13 +166,12 @@ class Trainer:
 
         Raises:
             Interrupted: if SIGTERM or Ctrl-C asked for it; the run is saved.
-            FileExistsError: if the directory holds a run already and :meth:`resume` was not called.
+            FileExistsError, BlockingIOError: see :meth:`require_new_or_resumed`.
             FloatingPointError: if losses or parameters are no longer finite; the checkpoint before stays.
 
         """
         settings = self.settings
-        if not self._resumed and (self.checkpoints.exist() or self.store.log.count):
-            raise FileExistsError(f"{self.run_dir} holds a run already: resume it, or choose another directory")
+        self.require_new_or_resumed()
         for logger in self.loggers:
             logger.start(self.run_dir, self.config, settings.seeds, self.env_steps)
         with self.interruption.listening(), self.progress.training(settings.total_steps, self.env_steps):
@@ -194,13 +184,29 @@ class Trainer:
             self._save()
             return self._evaluate_all()
 
+    def require_new_or_resumed(self) -> None:
+        """Claim the run's directory.
+
+        Raises:
+            FileExistsError: if it holds a run already and :meth:`resume` was not called.
+            BlockingIOError: if another process is training in it.
+
+        """
+        self.checkpoints.claim()
+        if not self._resumed and (self.checkpoints.exist() or self.store.log.count):
+            raise FileExistsError(f"{self.run_dir} holds a run already: resume it, or choose another directory")
+
     def close(self) -> None:
-        """Finish the loggers and close the environments."""
+        """Finish the loggers and close the environments, even those that no longer answer."""
         for logger in self.loggers:
             logger.finish()
+        self.checkpoints.release()
         self.store.log.close()
-        self.evaluator.close()
-        self.collector.shutdown()
+        for close in (self.evaluator.close, self.collector.shutdown):
+            try:
+                close()
+            except Exception as error:
+                log.warning("closing failed: %s", error)
 
     def __enter__(self) -> Trainer:
         return self
@@ -227,9 +233,7 @@ class Trainer:
         with self.stopwatch("collect"):
             data = self._collect()
         with self.stopwatch("store"):
-            transitions = self._transitions(data)
-            require_finite(transitions.flatten_keys("/"), "the environment gave", self.env_steps)
-            self.store.extend(transitions)
+            self.store.extend(data)
         return experience_metrics(data, self.settings.num_seeds, self.env)
 
     def _recover(self) -> Metrics:
@@ -240,26 +244,20 @@ class Trainer:
     def _collect(self) -> TensorDictBase:
         explores = self.settings.warmup_exploration or self.env_steps >= self.settings.warmup_steps
         self.collector.exploration_type = ExplorationType.RANDOM if explores else ExplorationType.DETERMINISTIC
+        self.ramp.share = self.settings.residual_share(self.env_steps)
         return self.collector.rollout()
 
-    def _transitions(self, data: TensorDictBase) -> TensorDictBase:
-        """Interleave the seeds: ``[S * E, T]`` to ``[E * T * S]``; see :class:`rrl.replay.StackedSampler`."""
-        stored = data.select(*STORED).reshape(self.settings.num_seeds, -1)
-        return stored.transpose(0, 1).reshape(-1)
-
     def _update(self) -> Metrics:
-        k = self.settings.updates_per_round
-        shape = k, self.settings.num_seeds, self.settings.batch_size
         with self.stopwatch("sample"):
-            batches = self.replay.sample(k * shape[1] * shape[2]).select(*STORED).reshape(shape)
+            batches = self.store.sample(self.settings.updates_per_round)
         losses = self.agent.update(batches)
-        require_finite(losses, "the update gave", self.env_steps)
+        require_finite(losses, "the update gave")
         return {metrics.name(metrics.LOSS, k): v.tolist() for k, v in losses.items()}
 
     def _save(self) -> None:
         if not self.settings.total_steps:
             return  # the controller alone: nothing to go on with
-        require_finite(dict(self.agent.named_parameters()), "not saved: the agent has", self.env_steps)
+        require_finite(dict(self.agent.named_parameters()), "not saved: the agent has")
         for logger in self.loggers:
             logger.flush()
         self.checkpoints.save(self.env_steps, {"transitions": self.store.mark(), "config": self.config})
@@ -302,10 +300,3 @@ class Trainer:
     def _log(self, values: metrics.Values) -> None:
         for logger in self.loggers:
             logger.log(values, self.env_steps)
-
-
-def _configure_torch(settings: TrainerSettings) -> None:
-    torch.set_num_threads(settings.threads)
-    torch.set_float32_matmul_precision(settings.matmul_precision)
-    if settings.flush_denormals and not torch.set_flush_denormal(True):
-        warnings.warn("this processor cannot flush denormal numbers; going on without", stacklevel=2)

@@ -59,6 +59,9 @@ class Controller(TensorDictModuleBase):
             )
         return value
 
+    def fit(self, action_size: int) -> None:
+        """Learn the size of the environment's action, n_act, before the first call."""
+
     def reset(self, mask: Tensor | None = None) -> None:
         """Start a new episode where ``mask`` (bool ``[*batch]``) is True; None: in all slots."""
         for module in self._stateful():

@@ -27,7 +27,8 @@ class ForceLimit(SafetyLimit):
 
     which is 1 up to ``onset`` and 0 from ``limit`` on; motion along the surface and away from it passes. Above the
     limit the part along n is replaced by ``retract``, away from the contact. The force is the one measured after the
-    last step: the limit is on what is commanded next, and a fast impact can exceed it within one control step.
+    last step: the limit is on what is commanded next. It ends sustained pressing; an impact at full speed exceeds it
+    within one control step, unless a :class:`~rrl.transforms.StepLimit` keeps the speed low.
 
     policy -> env: reads and writes ``action_key``.
     env -> policy: reads ``force_key``, writes ("safety", "force"); see :class:`SafetyLimit`.

@@ -187,7 +187,11 @@ class ResidualAction(ActionTransform, SlotTransform):
 
     def _take_limits(self, action_spec: Any) -> ActionLimits:
         self._span = None
-        return super()._take_limits(action_spec)
+        limits = super()._take_limits(action_spec)
+        for module in self.controller.modules():
+            if isinstance(module, Controller):
+                module.fit(limits.shape[-1])
+        return limits
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return scale and last base action for ``state_dict``."""

@@ -1,5 +1,6 @@
 """Small runs for the trainer's tests."""
 
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -13,7 +14,7 @@ from rrl.trainers.environment import EnvironmentFactory, Input
 from rrl.trainers.loggers import CSVLogger
 from rrl.trainers.trainer import Trainer
 from rrl.transforms import ControlNoise
-from toy_envs import EPISODE_STEPS, PointMass
+from toy_envs import EPISODE_STEPS, PointMass, RememberingPointMass
 
 
 def point_mass(num_envs=1, **arguments):
@@ -30,6 +31,12 @@ def factory():
         disturbances=[partial(ControlNoise, sigma=0.05)],
         max_episode_steps=EPISODE_STEPS,
     )
+
+
+@pytest.fixture
+def simulated(factory):
+    """The same with an environment whose state can be saved."""
+    return replace(factory, base=lambda num_envs=1: RememberingPointMass([num_envs]))
 
 
 @pytest.fixture

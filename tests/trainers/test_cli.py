@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 SMALL = [
     "trainer.total_steps=100",
@@ -78,6 +79,10 @@ def test_resume_continues_to_the_new_end(trained):
     assert "checkpoint-000000000100" in result.stdout.replace("\n", "")
     steps = {int(line.split(",")[0]) for line in (run_dir / "metrics.csv").read_text().splitlines()[1:]}
     assert steps == {0, 50, 100, 150}
+    ids = {path.name.rsplit("-", 1)[1] for path in run_dir.glob("wandb/offline-run-*")}
+    assert ids == {(run_dir / "wandb_id").read_text()}
+    events = EventAccumulator(str(run_dir / "tensorboard")).Reload()
+    assert [event.step for event in events.Scalars("train/reward")] == [50, 100, 150]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,234 @@
+"""What the algorithms on stacked seeds share: networks, optimisers, the order of the updates, the extra state."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from torch import Tensor, nn
+from torchrl.objectives import LossModule, SoftUpdate
+from torchrl.objectives.utils import ValueEstimators
+
+from rrl.adam import Adam
+from rrl.compilation import compile_update
+from rrl.keys import ACTION
+from rrl.networks import StackedMLP
+from rrl.random import SlotGenerators
+
+__all__ = ["Agent", "check_hyperparameters"]
+
+LOSS_FUNCTIONS = ("l1", "l2", "smooth_l1")
+
+
+class Agent(nn.Module, ABC):
+    """``S`` independent learners: an actor, critics, a TorchRL loss with ``reduction="none"``, target networks.
+
+    A subclass makes its networks with :meth:`make_actor` and :meth:`make_critics`, hands its loss to
+    :meth:`learn_from`, and implements :meth:`value_loss` and :meth:`actor_loss`. Losses come as ``[S, B]``; their mean
+    over ``B`` is summed over the seeds, which leaves the seeds' gradients apart. Random numbers of the losses are drawn
+    outside (:meth:`prepare`), from one generator a seed, and enter as data.
+
+    Args:
+        input_sizes: size of each observation entry that actor and critics read, by key.
+        action_size: size of the action; the policy's action lies in [-1, 1].
+        num_seeds: how many independent learners are stacked.
+        seed: learner ``k`` is the learner that ``seed + k`` alone would give.
+        noise: name of the stream of the losses' random numbers.
+        reward_scale: factor on the stored reward before the critics see it.
+        policy_delay: critic updates per update of policy and targets.
+        critic_burn_in: updates at the start in which the critics learn and the policy waits.
+
+    """
+
+    loss: LossModule
+    _actor: StackedMLP
+    _actor_arguments: dict[str, Any]
+
+    def __init__(
+        self,
+        input_sizes: dict[str, int],
+        action_size: int,
+        *,
+        num_seeds: int,
+        seed: int,
+        noise: str,
+        reward_scale: float,
+        policy_delay: int,
+        critic_burn_in: int,
+    ) -> None:
+        super().__init__()
+        if policy_delay < 1:
+            raise ValueError(f"policy_delay: expected at least 1 update, got {policy_delay}")
+        if critic_burn_in < 0:
+            raise ValueError(f"critic_burn_in: expected 0 updates or more, got {critic_burn_in}")
+        self.input_keys = list(input_sizes)
+        self.action_size = action_size
+        self.num_seeds, self.seed = num_seeds, seed
+        self.reward_scale = reward_scale
+        self.policy_delay, self.critic_burn_in = policy_delay, critic_burn_in
+        self.num_updates = 0
+        self._in_size = sum(input_sizes.values())
+        self._generators = [torch.Generator().manual_seed(seed + k) for k in range(num_seeds)]
+        self._noise = SlotGenerators(seed, num_seeds, stream=noise)
+
+    # ---------------------------------------------------------------- construction
+
+    def make_actor(self, out_features: int, hidden: Sequence[int], last_layer_bound: float, squash: bool) -> StackedMLP:
+        """Make the actor network; weights are drawn from the seeds' generators, actor before critics."""
+        self._actor_arguments = {
+            "in_features": self._in_size,
+            "out_features": out_features,
+            "hidden": list(hidden),
+            "last_layer_bound": last_layer_bound,
+            "squash": squash,
+        }
+        self._actor = StackedMLP(self.num_seeds, generators=self._generators, **self._actor_arguments)
+        return self._actor
+
+    def make_critics(self, count: int, hidden: Sequence[int], layer_norm: bool) -> list[TensorDictModule]:
+        """Make critics from the input keys and the action to ``state_action_value`` [S, B, 1]."""
+        networks = [
+            StackedMLP(
+                self.num_seeds,
+                self._in_size + self.action_size,
+                1,
+                list(hidden),
+                layer_norm=layer_norm,
+                generators=self._generators,
+            )
+            for _ in range(count)
+        ]
+        keys = [*self.input_keys, ACTION]
+        return [TensorDictModule(n, in_keys=keys, out_keys=["state_action_value"]) for n in networks]
+
+    def learn_from(
+        self,
+        loss: LossModule,
+        critic_params: TensorDictBase,
+        actor_params: TensorDictBase,
+        *,
+        gamma: float,
+        tau: float,
+        actor_lr: float,
+        critic_lr: float,
+        compiled: bool,
+    ) -> None:
+        """Take over the loss, and make optimisers and targets for it."""
+        if loss.loss_function not in LOSS_FUNCTIONS:
+            raise ValueError(f"loss_function: expected {' or '.join(LOSS_FUNCTIONS)}, got {loss.loss_function!r}")
+        self.loss = loss
+        self.gamma = gamma
+        self.loss.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
+        self.soft_update = SoftUpdate(self.loss, tau=tau)
+        self._critic_params = list(critic_params.values(True, True))
+        self._actor_params = list(actor_params.values(True, True))
+        self.critic_optimizer = Adam(self._critic_params, critic_lr)
+        self.actor_optimizer = Adam(self._actor_params, actor_lr)
+        steps = self._critic_step, self._critic_and_target_step, self._critic_and_policy_step
+        self._steps = [compile_update(step) for step in steps] if compiled else steps
+
+    # ---------------------------------------------------------------- acting
+
+    @property
+    def policy(self) -> TensorDictModuleBase:
+        """The policies of all seeds: input keys ``[S * E, ...]``, seed-major, to ``action`` in [-1, 1]."""
+        return self.wrap(self._actor, self.seed)
+
+    def policy_of(self, k: int) -> TensorDictModuleBase:
+        """A copy of seed ``k``'s policy that accepts any batch size."""
+        actor = StackedMLP(1, generators=[torch.Generator()], **self._actor_arguments)
+        actor.load_state_dict({n: p[k : k + 1] for n, p in self._actor.state_dict().items()})
+        return self.wrap(actor, self.seed + k)
+
+    def wrap(self, actor: StackedMLP, seed: int) -> TensorDictModuleBase:
+        """Make a policy of an actor network; ``seed`` is the first seed of its stack."""
+        return TensorDictModule(actor, in_keys=self.input_keys, out_keys=[ACTION])
+
+    # ---------------------------------------------------------------- learning
+
+    def update(self, batches: TensorDictBase) -> dict[str, Tensor]:
+        """Take one gradient step per batch.
+
+        Args:
+            batches: ``[k, S, B]``, with the input keys, ``action``, and in ``next`` the input keys, ``reward``,
+                ``done`` and ``terminated``; changed in place.
+
+        Returns:
+            Means over the ``k`` updates, ``[S]`` each: ``loss_critic``, ``loss_actor`` (absent while no policy update
+            was due) and what the algorithm adds.
+
+        """
+        following = batches["next"]
+        following["reward"] = following["reward"] * self.reward_scale
+        self.prepare(batches)
+        sums: dict[str, Tensor] = {}
+        counts: dict[str, int] = {}
+        for i in range(batches.shape[0]):
+            for name, value in self._next_step()(batches[i]).items():
+                sums[name] = sums.get(name, 0.0) + value
+                counts[name] = counts.get(name, 0) + 1
+        return {name: sums[name] / counts[name] for name in sums}
+
+    def _next_step(self) -> Any:
+        self.num_updates += 1
+        if self.num_updates % self.policy_delay:
+            return self._steps[0]
+        return self._steps[1 if self.num_updates <= self.critic_burn_in else 2]
+
+    def prepare(self, batches: TensorDictBase) -> None:
+        """Add random numbers that the losses need to ``batches`` [k, S, B]."""
+
+    def draw(self, shape: torch.Size) -> Tensor:
+        """Draw standard normal numbers ``[k, S, B, n_act]`` from the seeds' own generators."""
+        k, _, batch, size = shape
+        return self._noise.normal((k, batch, size)).transpose(0, 1)  # drawn as (S, k, B, n_act)
+
+    @abstractmethod
+    def value_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return the critics' loss ``[S, B]`` and metrics ``[S]``."""
+
+    @abstractmethod
+    def actor_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return the policy's loss ``[S, B]`` and metrics ``[S]``."""
+
+    def _critic_step(self, batch: TensorDictBase) -> dict[str, Tensor]:
+        loss, info = self.value_loss(batch)
+        loss = loss.mean(-1)
+        self.critic_optimizer.step(torch.autograd.grad(loss.sum(), self._critic_params))
+        return {"loss_critic": loss.detach(), **info}
+
+    def _critic_and_target_step(self, batch: TensorDictBase) -> dict[str, Tensor]:
+        metrics = self._critic_step(batch)
+        self.soft_update.step()
+        return metrics
+
+    def _critic_and_policy_step(self, batch: TensorDictBase) -> dict[str, Tensor]:
+        metrics = self._critic_step(batch)
+        loss, info = self.actor_loss(batch)
+        loss = loss.mean(-1)
+        self.actor_optimizer.step(torch.autograd.grad(loss.sum(), self._actor_params))
+        self.soft_update.step()
+        return metrics | {"loss_actor": loss.detach(), **info}
+
+    # ---------------------------------------------------------------- state
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """What a checkpoint needs beyond tensors: the update counter and the generators of the losses' noise."""
+        return {"num_updates": self.num_updates, "noise": self._noise.state_dict()}
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Restore :meth:`get_extra_state`."""
+        self.num_updates = state["num_updates"]
+        self._noise.load_state_dict(state["noise"])
+
+
+def check_hyperparameters(gamma: float, tau: float) -> None:
+    """Raise a ValueError that names a discount or a target's share out of range."""
+    if not 0 <= gamma < 1:
+        raise ValueError(f"gamma: expected a discount in [0, 1), got {gamma}")
+    if not 0 < tau <= 1:
+        raise ValueError(f"tau: expected a share in (0, 1], got {tau}")

@@ -1,0 +1,163 @@
+"""Safety limits hold whatever the policy, the controller and the disturbance ask for, and count what they changed."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.data import Bounded
+from torchrl.envs import TransformedEnv
+from torchrl.envs.transforms import Compose
+from torchrl.envs.utils import step_mdp
+
+from rrl.envs import InsertionEnv
+from rrl.transforms import ControlNoise, ForceLimit, ResidualAction, StepLimit, WorkspaceLimit
+from rrl.transforms.limits import limits_of
+from toy_envs import STEP_SIZE, PointMass
+from transform_cases import POSITION, drive, proportional, random_actions
+
+BOX = {"low": -0.5, "high": [0.5, 0.55]}  # PointMass starts in it
+
+
+def wild(*limits, drift=0.0):
+    """A point under everything that could break a limit: controller, full residual, strong noise."""
+    chain = Compose(*limits, ControlNoise(mu=0.3, sigma=0.8, seed=0), ResidualAction(proportional()))
+    return TransformedEnv(PointMass((4,), seed=0, drift=drift, episode_steps=1000), chain)
+
+
+def test_the_box_is_never_left() -> None:
+    env = wild(WorkspaceLimit(**BOX, unit=STEP_SIZE))
+    positions = torch.stack([td[POSITION] for td in drive(env, random_actions(300, 4, 2))])
+    low, high = torch.tensor([-0.5, -0.5]), torch.tensor([0.5, 0.55])
+    assert (positions >= low - 1e-6).all()
+    assert (positions <= high + 1e-6).all()
+    assert (positions > high - 1e-3).any()  # it was tried
+
+
+def test_from_outside_the_box_only_the_way_back_is_left() -> None:
+    env = TransformedEnv(PointMass((), drift=0.0), WorkspaceLimit(low=2.0, high=3.0, unit=STEP_SIZE))
+    step = env.step(env.reset().set("action", torch.tensor([-1.0, 0.5])))
+    moved = step["next", POSITION] - step[POSITION]
+    torch.testing.assert_close(moved, torch.tensor([STEP_SIZE, STEP_SIZE]))
+    assert step["next", "safety", "workspace"].all()
+
+
+def test_size_and_change_of_what_is_executed() -> None:
+    records = drive(wild(StepLimit(size=0.5, change=0.2)), random_actions(100, 4, 2))
+    executed = torch.stack([td["next", "executed_action"] for td in records[1:]])
+    changes = torch.cat([executed[:1], executed.diff(dim=0)])
+    assert executed.abs().max() == pytest.approx(0.5)
+    assert changes.abs().max() == pytest.approx(0.2)
+    assert records[0]["safety", "step"].any().item() is False
+
+
+def test_workspace_first_keeps_the_box_under_the_other_limits() -> None:
+    limits = (
+        WorkspaceLimit(**BOX, unit=STEP_SIZE),
+        ForceLimit(0.2, retract=1.0, force_key=POSITION, axes=[0, 1]),
+        StepLimit(change=0.1),
+    )
+    records = drive(wild(*limits), random_actions(300, 4, 2))
+    positions = torch.stack([td[POSITION] for td in records])
+    assert positions.min() >= -0.5 - 1e-6
+    assert positions.max() <= 0.55 + 1e-6
+
+
+def test_a_violation_is_counted_where_and_only_where_the_action_was_changed() -> None:
+    env = TransformedEnv(PointMass((4,), seed=0), StepLimit(size=0.5))
+    actions = random_actions(20, 4, 2)
+    flags = torch.stack([td["next", "safety", "step"] for td in drive(env, actions)[1:]])
+    assert torch.equal(flags, (actions.abs() > 0.5).any(-1, keepdim=True))
+    free = TransformedEnv(PointMass((4,), seed=0), StepLimit(size=1.0))
+    bare = PointMass((4,), seed=0)
+    for mine, other in zip(drive(free, actions), drive(bare, actions), strict=True):
+        assert torch.equal(mine[POSITION], other[POSITION])
+        assert not mine["safety", "step"].any()
+
+
+def force_of(limit: ForceLimit, action: list[float], force: list[float]) -> list[float]:
+    bounds = limits_of(Bounded(-1.0, 1.0, [len(action)]))
+    safe = limit.limit(torch.tensor(action), torch.tensor(force), bounds)
+    return [round(x, 5) for x in safe.tolist()]
+
+
+@pytest.mark.parametrize(
+    ("force", "action", "expected"),
+    [
+        ([0.0, 0.0, 0.0], [0.3, 0.0, -1.0], [0.3, 0.0, -1.0]),  # free
+        ([0.0, 0.0, 10.0], [0.3, 0.0, -1.0], [0.3, 0.0, -1.0]),  # below the onset
+        ([0.0, 0.0, 30.0], [0.3, 0.0, -1.0], [0.3, 0.0, -0.5]),  # half-way to the limit
+        ([0.0, 0.0, 50.0], [0.3, 0.0, -1.0], [0.3, 0.0, 0.0]),  # beyond: along the surface only
+        ([0.0, 0.0, 50.0], [0.3, 0.0, 0.7], [0.3, 0.0, 0.7]),  # away from it
+        ([30.0, 0.0, 40.0], [-1.0, 0.5, 0.75], [-1.0, 0.5, 0.75]),  # along an oblique surface
+    ],
+)
+def test_motion_against_the_force(force, action, expected) -> None:
+    assert force_of(ForceLimit(40.0, onset=20.0), action, force) == expected
+
+
+def test_retreat_and_hard_stop() -> None:
+    assert force_of(ForceLimit(40.0, retract=0.25), [0.3, 0.0, -1.0], [0.0, 0.0, 41.0]) == [0.3, 0.0, 0.25]
+    assert force_of(ForceLimit(40.0), [0.3, 0.0, -1.0], [0.0, 0.0, 39.0]) == [0.3, 0.0, -1.0]
+    assert force_of(ForceLimit(40.0, axes=[2]), [0.3, 0.0, -1.0], [41.0]) == [0.3, 0.0, 0.0]
+
+
+def pressing(*limits) -> torch.Tensor:
+    """Vertical force [T, 3] in N, while three arms push down on whatever is there."""
+    env = TransformedEnv(InsertionEnv("real", num_envs=3, seed=0), Compose(*limits))
+    td, forces = env.reset(), []
+    for _ in range(50):
+        td = env.step(td.set("action", torch.tensor([[0.0, 0.0, -1.0]] * 3)))
+        forces.append(td["next", "force_z"].squeeze(-1).abs())
+        td = step_mdp(td)
+    return torch.stack(forces)
+
+
+def test_an_arm_does_not_keep_pressing_under_a_force_limit() -> None:
+    limit = ForceLimit(13.0, onset=3.0, retract=0.2, force_key="force_z", axes=[2])
+    sustained = slice(30, None)
+    assert pressing(limit)[sustained].mean() < pressing()[sustained].mean() / 2
+
+
+def test_an_arm_never_presses_harder_than_the_limit_at_low_speed() -> None:
+    limit = ForceLimit(15.0, onset=5.0, force_key="force_z", axes=[2])
+    assert pressing(limit, StepLimit(size=0.3)).max() < 15.0 < pressing().max()
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: WorkspaceLimit(0.1, 0.1), "high must be above low"),
+        (lambda: WorkspaceLimit(0.0, 1.0, unit=0.0), "unit must be positive"),
+        (lambda: StepLimit(), "got neither"),
+        (lambda: StepLimit(size=-1.0), "size must be positive"),
+        (lambda: ForceLimit(0.0), "limit must be positive"),
+        (lambda: ForceLimit(1.0, onset=1.0), "onset must be in"),
+        (lambda: ForceLimit(1.0, retract=-0.1), "retract must be at least 0"),
+        (lambda: ForceLimit(1.0, axes=[0, 0]), "different dimensions"),
+    ],
+)
+def test_bad_parameters_are_named(make, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("limit", "message"),
+    [
+        (WorkspaceLimit([0.0] * 3, 1.0), "low has 3 numbers"),
+        (StepLimit(size=[1.0] * 3), "size has 3 numbers"),
+        (ForceLimit(1.0, force_key=POSITION), "axes .0, 1, 2. need a force of 3"),
+    ],
+)
+def test_sizes_that_do_not_fit_the_environment(limit, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        TransformedEnv(PointMass(), limit).observation_spec  # noqa: B018 - computing it is the test
+
+
+def test_a_missing_measurement_and_a_missing_reset_are_named() -> None:
+    with pytest.raises(KeyError, match="'wrench'"):
+        TransformedEnv(PointMass(), ForceLimit(1.0)).observation_spec  # noqa: B018 - computing it is the test
+    env = TransformedEnv(PointMass(), StepLimit(size=0.5))
+    with pytest.raises(RuntimeError, match="needs a reset"):
+        env.step(TensorDict({"action": torch.zeros(2)}))

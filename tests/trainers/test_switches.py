@@ -1,0 +1,90 @@
+"""Switches of the trainer: n-step returns and the ramp of the residual's share."""
+
+from functools import partial
+
+import pytest
+import torch
+from pydantic import ValidationError
+
+from rrl.algorithms import SAC
+from rrl.controllers import ProportionalController
+from rrl.envs import InsertionEnv
+from rrl.exploration import NoExploration
+from rrl.n_step import STEPS
+from rrl.trainers import CheckpointSettings, EnvironmentFactory, EvaluationSettings
+from rrl.transforms import StepLimit
+
+
+def test_the_ramp_leads_from_the_controller_to_the_whole_residual(make_trainer):
+    trainer = make_trainer(total_steps=100, warmup_steps=40, residual_ramp_steps=80)
+    largest = []
+    for _ in range(5):
+        data = trainer._collect()
+        largest.append(float(data["action"].abs().max()))
+        trainer.counters["env_steps"] += trainer.settings.steps_per_round
+    trainer.close()
+    assert largest[0] == 0.0
+    # noise of standard deviation 0.3 on an untrained policy, times 0, 1/4, 1/2, 3/4, 1
+    assert 0.0 < largest[1] < largest[4]
+    assert trainer.ramp.share == 1.0
+
+
+def test_the_stored_action_is_the_one_that_acted(make_trainer):
+    trainer = make_trainer(total_steps=100, warmup_steps=40, residual_ramp_steps=80)
+    trainer.counters["env_steps"] = 40
+    data = trainer._collect()
+    trainer.close()
+    executed = (data["base_action"] + data["action"]).clamp(-1.0, 1.0)
+    assert (data["next", "executed_action"] - executed).abs().max() < 0.5  # ControlNoise of 0.05 lies between
+    assert trainer.store.interleave(data)["action"].abs().max() == data["action"].abs().max()
+
+
+def test_n_step_transitions_are_stored_and_learned_from(make_trainer):
+    trainer = make_trainer(n_step=3, num_seeds=2)
+    trainer.run()
+    trainer.close()
+    steps = trainer.replay.storage[:][STEPS].reshape(-1, 20, 2)  # rounds, time, seeds
+    assert (steps[:, :-2] == 3).all()
+    assert (steps[:, -2] == 2).all()
+    assert (steps[:, -1] == 1).all()
+
+
+def test_n_step_reaches_no_further_than_a_collection(settings):
+    with pytest.raises(ValidationError, match="n_step"):
+        settings(n_step=21)
+
+
+def test_a_stochastic_policy_resumes_as_if_never_stopped(make_trainer):
+    """SAC with n-step returns and a safety limit: the acting policy's generators are part of the checkpoint."""
+    environment = EnvironmentFactory(
+        partial(InsertionEnv, variant="sim", seed=0),
+        partial(ProportionalController, gain=0.5, clip=0.5, unit=0.02),
+        ["end_effector_position", "goal"],
+        safety=[partial(StepLimit, change=0.3)],
+        max_episode_steps=50,
+    )
+    make = partial(
+        make_trainer,
+        environment=environment,
+        agent=partial(SAC, hidden=[16, 16]),
+        exploration=NoExploration,
+        n_step=2,
+        warmup_steps=40,
+        total_steps=120,
+        evaluation=EvaluationSettings(every=0, final_episodes=1, slots=1),
+        checkpoint=CheckpointSettings(every=40),
+    )
+    whole, first = make("whole"), make("broken", total_steps=80)
+    whole.run()
+    first.run()
+    first.close()
+    second = make("broken")
+    second.resume()
+    second.run()
+    expected, resumed = whole.agent.state_dict(), second.agent.state_dict()
+    for name, value in expected.items():
+        if isinstance(value, torch.Tensor):
+            assert torch.equal(value, resumed[name]), name
+    assert (whole.replay.storage[:] == second.replay.storage[:]).all()
+    whole.close()
+    second.close()

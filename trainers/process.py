@@ -1,0 +1,22 @@
+"""Settings that hold for the whole process."""
+
+from __future__ import annotations
+
+import random
+import warnings
+
+import numpy as np
+import torch
+
+from .config import TrainerSettings
+
+
+def configure_process(settings: TrainerSettings) -> None:
+    """Threads, precision, and the global generators, for whatever in an environment draws from them."""
+    random.seed(settings.seed)
+    np.random.seed(settings.seed)  # noqa: NPY002
+    torch.manual_seed(settings.seed)
+    torch.set_num_threads(settings.threads)
+    torch.set_float32_matmul_precision(settings.matmul_precision)
+    if settings.flush_denormals and not torch.set_flush_denormal(True):
+        warnings.warn("this processor cannot flush denormal numbers; going on without", stacklevel=2)
