@@ -21,6 +21,7 @@ PlainName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9._+=-]*$")]
 """A directory or file of that name stays where it is put."""
 Target = dict[str, Any]
 Targets = dict[str, Target | None] | None
+Scale = Annotated[float, Field(ge=0)] | list[Annotated[float, Field(ge=0)]]
 Side = Annotated[int, Field(gt=0, le=4096)]
 
 
@@ -46,6 +47,7 @@ class _Env(_Section):
     max_episode_steps: Positive
     inputs: Annotated[dict[str, dict[str, Any] | None], Field(min_length=1)]
     scenarios: Annotated[dict[PlainName, dict[str, Any] | None], Field(min_length=1)]
+    residual_scale: Scale = 1.0
     sensing: Targets = None
     renderer: Target | None = None
 
@@ -60,7 +62,7 @@ class _Root(_Section):
 
     name: PlainName
     arm: str
-    residual_scale: Annotated[float, Field(ge=0)] | list[Annotated[float, Field(ge=0)]]
+    residual_scale: Scale
     trainer: TrainerSettings
     render: _Render
     env: _Env

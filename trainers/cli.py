@@ -100,14 +100,23 @@ def _hydra(command: str, run_dir: Path | None, overrides: list[str]) -> None:
     source = ["--config-path", "pkg://rrl.configs", "--config-name", "train"]
     if run_dir is not None:
         source = ["--config-path", str(run_dir), "--config-name", CONFIG_FILE]
-        overrides = [*overrides, f"hydra.run.dir={run_dir}", "hydra.output_subdir=null"]
+        quiet = "hydra.job_logging.root.level=WARNING"
+        overrides = [quiet, *overrides, f"hydra.run.dir={run_dir}", "hydra.output_subdir=null"]
     OmegaConf.register_new_resolver("plain", plain_name, replace=True)
     sys.argv = ["rrl", *source, *_user_configs(overrides), *overrides]
-    run: Callable[[], None] = hydra.main(version_base="1.3", config_path=None)(
-        lambda config: _run(command, config, resume=run_dir is not None)
-    )
-    os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # exceptions come through; main() shows them
+    failures: list[Exception] = []
+
+    def job(config: DictConfig) -> None:
+        try:
+            _run(command, config, resume=run_dir is not None)
+        except Exception as error:
+            failures.append(error)  # past Hydra, which would print a line of its own about it
+
+    run: Callable[[], None] = hydra.main(version_base="1.3", config_path=None)(job)
+    os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # what Hydra itself raises comes through; main() shows it
     run()
+    for failure in failures:
+        raise failure
 
 
 def _user_configs(arguments: list[str]) -> list[str]:

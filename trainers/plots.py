@@ -59,6 +59,8 @@ def _draw_panel(axis: Axes, record: Mapping[str, Series], scenario: str, metric:
     steps, values = _table(record[metrics.name(metrics.EVALUATION, scenario, metric)])
     values = values * unit
     low, high = np.array([mean_interval(column) for column in values.T]).T
+    if metric == "success":  # the t interval of a rate may leave [0, 1]
+        low, high = low.clip(0, unit), high.clip(0, unit)
     axis.fill_between(steps, low, high, color=RESIDUAL_COLOUR, alpha=0.2, linewidth=0)
     if len(values) > 1:
         axis.plot(steps, values.T, color=RESIDUAL_COLOUR, linewidth=0.6, alpha=0.45)

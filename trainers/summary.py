@@ -37,7 +37,7 @@ def _cells(comparisons: Sequence[Comparison]) -> list[str]:
         each = ", ".join(f"{r:.2f}" for r in returns)
         return [
             f"{summaries[0]['controller_return']:.2f}",
-            _mean_text(returns, "{:.2f}"),
+            _mean_text(returns, "{:.2f}", (-np.inf, np.inf)),
             each,
             "",
             "",
@@ -48,18 +48,18 @@ def _cells(comparisons: Sequence[Comparison]) -> list[str]:
     low, high = wilson(int(solved.sum()), len(solved))
     return [
         f"{solved.mean():.0%} [{low:.0%}, {high:.0%}]",
-        _mean_text(rates, "{:.1%}"),
+        _mean_text(rates, "{:.1%}", (0.0, 1.0)),
         ", ".join(f"{rate:.0%}" for rate in rates),
         f"{np.mean([s['rescues'] for s in summaries]):.1f}",
         f"{np.mean([s['regressions'] for s in summaries]):.1f}",
     ]
 
 
-def _mean_text(values: Sequence[float], form: str) -> str:
+def _mean_text(values: Sequence[float], form: str, bounds: tuple[float, float]) -> str:
     text = form.format(np.mean(values))
     if len(values) < 2:
         return text
-    low, high = mean_interval(values)
+    low, high = (float(np.clip(bound, *bounds)) for bound in mean_interval(values))
     return f"{text} [{form.format(low)}, {form.format(high)}]"
 
 
