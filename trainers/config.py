@@ -104,6 +104,11 @@ class TrainerSettings(_Settings):
         return self.steps_per_collection * self.envs_per_seed
 
     @property
+    def transitions_per_round(self) -> int:
+        """Transitions of all seeds that one collection stores."""
+        return self.steps_per_round * self.num_seeds
+
+    @property
     def updates_per_round(self) -> int:
         """Updates after each collection."""
         return round(self.steps_per_round * self.updates_per_step)

@@ -154,7 +154,7 @@ class Trainer:
             self.store.set_pending_aside()
         else:
             self.episode.start_anew(self._first_seed + self.store.log.count)
-            self.store.keep_whole_rounds(self._round_size)
+            self.store.keep_whole_rounds(self.settings.transitions_per_round)
         self._resumed = True
         return path
 
@@ -238,7 +238,7 @@ class Trainer:
 
     def _recover(self) -> Metrics:
         """A round whose transitions come from the log: they were stored after the checkpoint that was resumed."""
-        self.store.recover(self._round_size)
+        self.store.recover(self.settings.transitions_per_round)
         return {}
 
     def _collect(self) -> TensorDictBase:
@@ -267,10 +267,6 @@ class Trainer:
         if self.interruption.signal is not None:
             self._save()
             self.interruption.check()
-
-    @property
-    def _round_size(self) -> int:
-        return self.settings.steps_per_round * self.settings.num_seeds
 
     def _due(self, every: int) -> bool:
         return bool(every) and self.env_steps % every == 0
