@@ -45,7 +45,7 @@ def learning_curve(run_dir: Path, scenario: str, out: Path) -> Path:
         axis.set_xlabel("environment steps of one seed")
         if metric == "success":
             axis.set_ylim(-3, 103)
-    axes[0].legend(loc="lower right", frameon=False)
+    axes[0].legend(loc="upper left", frameon=False)
     seeds = len(record[metrics.name(metrics.EVALUATION, scenario, available[0][0])])
     band = ", mean and 95 % confidence interval" if seeds > 1 else ""
     figure.suptitle(f"{scenario}: {seeds} seed{'s' * (seeds > 1)}{band}", fontsize=11)
