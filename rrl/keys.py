@@ -11,6 +11,9 @@ BASE_ACTION = "base_action"
 EXECUTED_ACTION = "executed_action"
 """What the environment was given after superposition, disturbance and clipping."""
 
+PREVIOUS_ACTION = "previous_action"
+"""What the policy said in the last steps, oldest first."""
+
 OBSERVATION = "observation"
 """The concatenated vector that actor and critic read."""
 

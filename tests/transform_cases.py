@@ -19,6 +19,7 @@ from rrl.controllers import (
     SumController,
 )
 from rrl.transforms import (
+    ActionHistory,
     ControlNoise,
     ForceLimit,
     ObservationLatency,
@@ -95,6 +96,14 @@ def force_limit(seed: int | None) -> Transform:
     return ForceLimit(limit=0.3, onset=0.1, retract=0.2, force_key=POSITION, axes=[0, 1])
 
 
+def action_history(seed: int | None) -> Transform:
+    return ActionHistory(3, out_key=("memory", "action"))
+
+
+def residual_history(seed: int | None) -> Transform:
+    return Compose(residual(seed), ActionHistory(2))
+
+
 def safe_residual(seed: int | None) -> Transform:
     limits = workspace_limit(seed), force_limit(seed), step_limit(seed)
     return Compose(*limits, control_noise(seed), residual_with_memory(seed))
@@ -126,6 +135,8 @@ CASES: dict[str, Factory] = {
         workspace_limit,
         step_limit,
         force_limit,
+        action_history,
+        residual_history,
         safe_residual,
         chain,
     )

@@ -47,6 +47,7 @@ def environment(config: Config) -> EnvironmentFactory:
         residual_scale=config["residual_scale"],
         batching=env["batching"],
         max_episode_steps=env["max_episode_steps"],
+        action_history=env.get("action_history", 1),
     )
 
 

@@ -11,6 +11,8 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from torchrl.data import Bounded
 
+from rrl.keys import BASE_ACTION, PREVIOUS_ACTION
+
 from .config import Positive, TrainerSettings
 from .environment import Batching, Input
 
@@ -48,6 +50,7 @@ class _Env(_Section):
     inputs: Annotated[dict[str, dict[str, Any] | None], Field(min_length=1)]
     scenarios: Annotated[dict[PlainName, dict[str, Any] | None], Field(min_length=1)]
     residual_scale: Scale = 1.0
+    action_history: Positive = 1
     sensing: Targets = None
     renderer: Target | None = None
 
@@ -198,7 +201,7 @@ def _check_entries(config: Config) -> Problems:
     for key, entry in config["env"]["inputs"].items():
         if key in sizes:
             yield from _check_columns(f"env.inputs.{key}", Input(**(entry or {})), sizes[key])
-        elif key != "base_action":
+        elif key not in (BASE_ACTION, PREVIOUS_ACTION):
             yield f"env.inputs: the environment does not have {key!r}; it has {known}"
     controller = locate(config["controller"]["_target_"])(
         **{key: value for key, value in config["controller"].items() if key != "_target_"}

@@ -20,8 +20,8 @@ from torchrl.envs.transforms import (
     Transform,
 )
 
-from rrl.keys import OBSERVATION
-from rrl.transforms import ResidualAction
+from rrl.keys import OBSERVATION, PREVIOUS_ACTION
+from rrl.transforms import ActionHistory, ResidualAction
 
 Batching = Literal["native", "serial", "parallel"]
 _BATCHED = {"serial": SerialEnv, "parallel": ParallelEnv}
@@ -56,7 +56,7 @@ class Input:
 
 @dataclass(frozen=True)
 class EnvironmentFactory:
-    """Builds transformed environments: ``[safety, disturbances, sensing, residual, concatenation, normalisation]``.
+    """Builds environments: ``[safety, disturbances, sensing, residual, memory, concatenation, normalisation]``.
 
     The order is the method's: on the way to the policy, sensing faults come before the controller, which therefore
     sees what a real one would see; on the way back the superposition comes first, then the disturbance, and safety
@@ -67,7 +67,8 @@ class EnvironmentFactory:
             else without arguments.
         controller: makes a controller.
         inputs: the observation entries that the policy reads, in this order, and how each is normalised; a plain list
-            of names leaves them as they are.
+            of names leaves them as they are. Beside the environment's own there are ``base_action`` and
+            ``previous_action``, what the policy said in the last ``action_history`` steps.
         disturbances: make the transforms of the executed action (control noise).
         sensing: make the transforms of the observation entries (camera noise, latency).
         safety: make the transforms that limit what reaches the environment.
@@ -75,6 +76,7 @@ class EnvironmentFactory:
         batching: ``native`` for an environment with a batch size of its own, ``serial`` to run copies in turn,
             ``parallel`` to run each copy in its own process.
         max_episode_steps: bound on an episode's length, for evaluation.
+        action_history: how many actions ``previous_action`` holds, if the policy reads it.
 
     """
 
@@ -87,6 +89,7 @@ class EnvironmentFactory:
     residual_scale: float | Sequence[float] = 1.0
     batching: Batching = "native"
     max_episode_steps: int = 1000
+    action_history: int = 1
 
     def with_overrides(self, **overrides: Any) -> EnvironmentFactory:
         """The same chain on a base environment with other arguments (another scenario)."""
@@ -105,6 +108,8 @@ class EnvironmentFactory:
         for make in (*self.safety, *self.disturbances, *self.sensing):
             env.append_transform(make())
         env.append_transform(ResidualAction(self.controller(), scale=self.residual_scale))
+        if PREVIOUS_ACTION in self.inputs:
+            env.append_transform(ActionHistory(self.action_history))
         self._append_inputs(env)
         return env
 

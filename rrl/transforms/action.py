@@ -1,4 +1,4 @@
-"""What the transforms that change an action share."""
+"""What the transforms that change or watch an action share."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["ActionTransform", "sibling"]
 
 
 class ActionTransform(Transform):
-    """Mixin for transforms that change an action and need its limits at their place."""
+    """Mixin for transforms that change or watch an action and need its limits at their place."""
 
     _limits: ActionLimits | None = None
     _action_key: NestedKey

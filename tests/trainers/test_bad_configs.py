@@ -38,6 +38,7 @@ BROKEN = {
     "render.scenario=upside_down": ["render.scenario", "misaligned", "upside_down"],
     "render.episode=best": ["render.episode", "rescue", "best"],
     # wrong types
+    "env.action_history=long": ["env.action_history", "integer", "long"],
     "trainer.num_seeds=two": ["trainer.num_seeds", "integer", "two"],
     "trainer.num_seeds=1.5": ["trainer.num_seeds", "integer", "1.5"],
     "trainer.num_seeds=null": ["trainer.num_seeds", "integer", "None"],
@@ -54,6 +55,7 @@ BROKEN = {
     "controller._target_=null": ["controller", "_target_", "None"],
     "env.inputs=[goal]": ["env.inputs=[goal]", "DictConfig"],
     # out of range
+    "env.action_history=0": ["env.action_history", "greater than 0", "0"],
     "trainer.num_seeds=0": ["trainer.num_seeds", "greater than 0", "0"],
     "trainer.num_seeds=-1": ["trainer.num_seeds", "greater than 0", "-1"],
     "trainer.seed=-1": ["trainer.seed", "-1"],

@@ -1,5 +1,6 @@
-"""Switches of the trainer: n-step returns and the ramp of the residual's share."""
+"""Switches of the trainer: n-step returns, the ramp of the residual's share, what the policy reads."""
 
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -11,7 +12,7 @@ from rrl.controllers import ProportionalController
 from rrl.envs import InsertionEnv
 from rrl.exploration import NoExploration
 from rrl.n_step import STEPS
-from rrl.trainers import CheckpointSettings, EnvironmentFactory, EvaluationSettings
+from rrl.trainers import CheckpointSettings, EnvironmentFactory, EvaluationSettings, Input
 from rrl.transforms import StepLimit
 
 
@@ -37,6 +38,22 @@ def test_the_stored_action_is_the_one_that_acted(make_trainer):
     executed = (data["base_action"] + data["action"]).clamp(-1.0, 1.0)
     assert (data["next", "executed_action"] - executed).abs().max() < 0.5  # ControlNoise of 0.05 lies between
     assert trainer.store.interleave(data)["action"].abs().max() == data["action"].abs().max()
+
+
+def test_the_policy_reads_the_controllers_action_and_its_own_last_ones(make_trainer, factory):
+    inputs = {"goal": Input(), "base_action": Input(), "previous_action": Input(scale=2.0)}
+    trainer = make_trainer(environment=replace(factory, inputs=inputs, action_history=2), total_steps=200)
+    data = trainer._collect()  # [1, T]
+    said = data["action"][0]
+    goal, base_action, older, last = data["observation"][0].split(2, -1)
+    assert torch.equal(goal, data["goal"][0])
+    assert torch.equal(base_action, data["base_action"][0])
+    assert torch.equal(last[1:], 2.0 * said[:-1])
+    assert torch.equal(older[2:], 2.0 * said[:-2])
+    assert said.any()
+    assert not last[0].any()
+    trainer.run()
+    trainer.close()
 
 
 def test_n_step_transitions_are_stored_and_learned_from(make_trainer):

@@ -31,9 +31,10 @@ from transform_cases import (
 )
 
 WORKERS = 2
-TIMED = {"latency", "tracker", "chain"}  # cases that need an order in time
+TIMED = {"latency", "tracker", "chain", "action_history", "residual_history"}  # cases that need an order in time
 LIMITS = {"workspace_limit", "step_limit", "force_limit", "safe_residual"}
-ON_ACTIONS = {"residual", "residual_with_memory", "residual_on_policy", "control_noise", "chain"} | LIMITS
+RESIDUALS = {"residual", "residual_with_memory", "residual_on_policy", "residual_history", "chain"}
+ON_ACTIONS = {"control_noise"} | RESIDUALS | LIMITS
 OF_STEPS = {"executed_action", "safety"}  # records of a step, which data without an environment has none of
 
 each_case = pytest.mark.parametrize("name", CASES)
