@@ -2,90 +2,42 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Any
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
 from torchrl.data import TensorSpec
 from torchrl.envs.utils import ExplorationType, exploration_type
-from torchrl.modules import AdditiveGaussianModule
 
 from rrl.keys import ACTION
 from rrl.random import SlotGenerators
 
-
-class GaussianExploration(AdditiveGaussianModule):
-    """Add ``N(0, sigma^2)`` to the policy's action and project the sum on the action bounds.
-
-    TorchRL's module with one random stream per environment slot in place of the global generator, so that a slot
-    explores alike in whatever batch it is. ``step()`` anneals ``sigma`` to ``sigma_end``.
-
-    Args:
-        spec: the action's spec, batch size included.
-        sigma: standard deviation in normalised action units.
-        sigma_end: its value after ``annealing_steps`` calls of ``step``; ``sigma`` when left out.
-        annealing_steps: number of calls over which ``sigma`` falls.
-        num_slots: environments in the batch.
-        seed: slot ``i`` draws what ``seed + i`` alone would draw.
-    """
-
-    def __init__(
-        self,
-        spec: TensorSpec,
-        *,
-        sigma: float,
-        sigma_end: float | None = None,
-        annealing_steps: int = 1,
-        num_slots: int = 1,
-        seed: int = 0,
-    ) -> None:
-        if sigma < 0:
-            raise ValueError(f"sigma: expected a standard deviation of 0 or more, got {sigma}")
-        super().__init__(
-            spec,
-            sigma_init=float(sigma),
-            sigma_end=float(sigma if sigma_end is None else sigma_end),
-            annealing_num_steps=annealing_steps,
-            action_key=ACTION,
-        )
-        self.generators = SlotGenerators(seed, num_slots, stream="exploration")
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Perturb ``action`` in place, if the exploration type is random."""
-        if exploration_type() in (ExplorationType.RANDOM, None):
-            action = tensordict.get(ACTION)
-            noise = self.generators.normal(action.shape[-1:]).view(action.shape)
-            tensordict.set(ACTION, self._spec[ACTION].project(action + self.sigma * noise))
-        return tensordict
-
-    def get_extra_state(self) -> dict[str, Any]:
-        """The generators' state."""
-        return self.generators.state_dict()
-
-    def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Restore the generators' state."""
-        self.generators.load_state_dict(state)
+__all__ = ["ExplorationNoise", "GaussianExploration", "NoExploration", "OrnsteinUhlenbeckExploration", "Ramp"]
 
 
-class OrnsteinUhlenbeckExploration(TensorDictModuleBase):
-    """Add a temporally correlated process to the policy's action, started anew with every episode.
+class ExplorationNoise(TensorDictModuleBase):
+    """Add noise to the policy's action and project the sum on the action bounds; a subclass says which noise.
 
-    The discretised process ``n <- n - theta n dt + sigma sqrt(dt) N(0, 1)`` with one random stream per environment
-    slot. TorchRL's own module draws from the global generator and keeps the process in the TensorDict; here it is a
-    buffer, so that a checkpoint holds it. Reads ``action`` and ``is_init``
-    (:class:`torchrl.envs.transforms.InitTracker`, which the trainer adds), writes ``action``.
+    TorchRL's modules draw from the global generator. Here every environment slot has a random stream of its own, so
+    that it explores alike in whatever batch it is.
 
     Args:
         spec: the action's spec, batch size included.
-        sigma: scale of the increments, in normalised action units.
-        theta: rate of the pull towards zero.
-        dt: time step of the discretisation.
+        sigma: scale of the noise, in normalised action units.
+        sigma_end: its value after ``decay_steps``; None: ``sigma`` stays.
+        decay_steps: steps (of :meth:`step`) over which ``sigma`` falls, or rises, in a straight line.
         num_slots: environments in the batch.
         seed: slot ``i`` draws what ``seed + i`` alone would draw.
+
+    Raises:
+        ValueError: if a scale is negative or there is not at least one step to decay over.
+
     """
 
-    in_keys = (ACTION, "is_init")
+    in_keys: tuple[str, ...] = (ACTION,)
     out_keys = (ACTION,)
 
     def __init__(
@@ -93,37 +45,103 @@ class OrnsteinUhlenbeckExploration(TensorDictModuleBase):
         spec: TensorSpec,
         *,
         sigma: float,
-        theta: float = 0.15,
-        dt: float = 1.0,
+        sigma_end: float | None = None,
+        decay_steps: int = 10_000,
         num_slots: int = 1,
         seed: int = 0,
     ) -> None:
         super().__init__()
-        if sigma < 0:
-            raise ValueError(f"sigma: expected a scale of 0 or more, got {sigma}")
+        for name, value in (("sigma", sigma), ("sigma_end", sigma if sigma_end is None else sigma_end)):
+            if value < 0:
+                raise ValueError(f"{name}: expected a scale of 0 or more, got {value}")
+        if decay_steps < 1:
+            raise ValueError(f"decay_steps: expected at least 1 step, got {decay_steps}")
         self.spec = spec
-        self.sigma, self.theta, self.dt = sigma, theta, dt
+        self.sigma_init, self.sigma_end = sigma, sigma if sigma_end is None else sigma_end
+        self.decay_steps, self.steps = decay_steps, 0
         self.generators = SlotGenerators(seed, num_slots, stream="exploration")
-        self.noise: torch.Tensor
-        self.register_buffer("noise", torch.zeros(spec.shape))
+
+    @property
+    def sigma(self) -> float:
+        """Scale of the noise by now."""
+        passed = min(1.0, self.steps / self.decay_steps)
+        return self.sigma_init + (self.sigma_end - self.sigma_init) * passed
+
+    def step(self, frames: int = 1) -> None:
+        """Let ``frames`` steps of the decay pass; the trainer counts the environment steps of one seed."""
+        self.steps += frames
+
+    @abstractmethod
+    def noise(self, normal: Tensor, tensordict: TensorDictBase) -> Tensor:
+        """Return what is added to the action, made of standard normal numbers of the same shape."""
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Perturb ``action`` in place, if the exploration type is random."""
         if exploration_type() in (ExplorationType.RANDOM, None):
             action = tensordict.get(ACTION)
-            increment = self.generators.normal(action.shape[-1:]).view(action.shape)
-            noise = self.noise * ~tensordict.get("is_init")
-            self.noise = noise * (1 - self.theta * self.dt) + self.sigma * self.dt**0.5 * increment
-            tensordict.set(ACTION, self.spec.project(action + self.noise))
+            normal = self.generators.normal(action.shape[-1:]).view(action.shape)
+            tensordict.set(ACTION, self.spec.project(action + self.noise(normal, tensordict)))
         return tensordict
 
     def get_extra_state(self) -> dict[str, Any]:
-        """The generators' state."""
-        return self.generators.state_dict()
+        """How far the decay is, and the generators' state."""
+        return {"steps": self.steps, "generators": self.generators.state_dict()}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Restore the generators' state."""
-        self.generators.load_state_dict(state)
+        """Restore :meth:`get_extra_state`."""
+        self.steps = state["steps"]
+        self.generators.load_state_dict(state["generators"])
+
+
+class GaussianExploration(ExplorationNoise):
+    """Add ``N(0, sigma^2)``; see :class:`ExplorationNoise` for the arguments."""
+
+    def noise(self, normal: Tensor, tensordict: TensorDictBase) -> Tensor:
+        """Return ``sigma * normal``."""
+        return self.sigma * normal
+
+
+class OrnsteinUhlenbeckExploration(ExplorationNoise):
+    """Add a temporally correlated process, started anew with every episode.
+
+    The discretised process ``n <- n - theta n dt + sigma sqrt(dt) N(0, 1)``. It is a buffer, so that a checkpoint
+    holds it. Its standard deviation tends to about ``sigma / sqrt(2 theta)``. Reads ``is_init`` too
+    (:class:`torchrl.envs.transforms.InitTracker`, which the trainer adds).
+
+    Args:
+        sigma, sigma_end: scale of the increments.
+        theta: rate of the pull towards zero.
+        dt: time step of the discretisation.
+        spec, decay_steps, num_slots, seed: see :class:`ExplorationNoise`.
+
+    """
+
+    in_keys = (ACTION, "is_init")
+
+    def __init__(
+        self,
+        spec: TensorSpec,
+        *,
+        sigma: float,
+        sigma_end: float | None = None,
+        decay_steps: int = 10_000,
+        theta: float = 0.15,
+        dt: float = 1.0,
+        num_slots: int = 1,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(
+            spec, sigma=sigma, sigma_end=sigma_end, decay_steps=decay_steps, num_slots=num_slots, seed=seed
+        )
+        self.theta, self.dt = theta, dt
+        self.process: Tensor
+        self.register_buffer("process", torch.zeros(spec.shape))
+
+    def noise(self, normal: Tensor, tensordict: TensorDictBase) -> Tensor:
+        """Let the process make a step."""
+        process = self.process * ~tensordict.get("is_init")
+        self.process = process * (1 - self.theta * self.dt) + self.sigma * self.dt**0.5 * normal
+        return self.process
 
 
 class NoExploration(TensorDictModuleBase):

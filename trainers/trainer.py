@@ -217,6 +217,8 @@ class Trainer:
     def _round(self) -> None:
         values = self._recover() if self.store.pending else self._collect_and_store()
         self.counters["env_steps"] += self.settings.steps_per_round
+        if hasattr(self.exploration, "step"):  # TorchRL's name for the decay of an exploration module
+            self.exploration.step(self.settings.steps_per_round)
         if self.env_steps >= self.settings.warmup_steps:
             with self.stopwatch("update"):
                 values |= self._update()

@@ -60,15 +60,36 @@ def test_silent_unless_exploring(kind):
 
 
 @pytest.mark.parametrize("kind", BOTH)
-def test_state_dict_continues_the_process(kind):
-    module, other = make(kind, 2), make(kind, 2, seed=9)
-    explore(module, 2, 4)
-    other.load_state_dict(module.state_dict())
-    td = TensorDict({"action": torch.zeros(2, 3), "is_init": torch.zeros(2, 1, dtype=torch.bool)}, [2])
-    assert torch.equal(module(td.clone())["action"], other(td.clone())["action"])
+def test_sigma_goes_to_its_end_in_a_straight_line_and_stays(kind):
+    module = make(kind, sigma=0.4, sigma_end=0.1, decay_steps=30)
+    seen = []
+    for _ in range(5):
+        seen.append(module.sigma)
+        module.step(10)
+    assert seen == pytest.approx([0.4, 0.3, 0.2, 0.1, 0.1])
+
+
+def test_the_noise_follows_sigma():
+    module = make(GaussianExploration, 4, sigma=0.2, sigma_end=0.02, decay_steps=10)
+    module.step(10)
+    assert explore(module, 4, 500).std() == pytest.approx(0.02, rel=0.05)
 
 
 @pytest.mark.parametrize("kind", BOTH)
-def test_a_negative_sigma_is_refused(kind):
-    with pytest.raises(ValueError, match="sigma"):
-        make(kind, sigma=-0.1)
+def test_state_dict_continues_the_process(kind):
+    module, other = (make(kind, 2, seed=seed, sigma_end=0.1, decay_steps=7) for seed in (0, 9))
+    module.step(3)
+    explore(module, 2, 4)
+    other.load_state_dict(module.state_dict())
+    td = TensorDict({"action": torch.zeros(2, 3), "is_init": torch.zeros(2, 1, dtype=torch.bool)}, [2])
+    for _ in range(3):
+        assert torch.equal(module(td.clone())["action"], other(td.clone())["action"])
+        module.step()
+        other.step()
+
+
+@pytest.mark.parametrize("kind", BOTH)
+@pytest.mark.parametrize(("name", "value"), [("sigma", -0.1), ("sigma_end", -0.1), ("decay_steps", 0)])
+def test_bad_parameters_are_named(kind, name, value):
+    with pytest.raises(ValueError, match=name):
+        make(kind, **{name: value})

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from rrl.algorithms import SAC
 from rrl.controllers import ProportionalController
 from rrl.envs import InsertionEnv
-from rrl.exploration import NoExploration
+from rrl.exploration import GaussianExploration, NoExploration
 from rrl.n_step import STEPS
 from rrl.trainers import CheckpointSettings, EnvironmentFactory, EvaluationSettings, Input
 from rrl.transforms import StepLimit
@@ -28,6 +28,20 @@ def test_the_ramp_leads_from_the_controller_to_the_whole_residual(make_trainer):
     # noise of standard deviation 0.3 on an untrained policy, times 0, 1/4, 1/2, 3/4, 1
     assert 0.0 < largest[1] < largest[4]
     assert trainer.ramp.share == 1.0
+
+
+def test_exploration_decays_over_the_environment_steps_of_a_seed_and_resumes_where_it_was(make_trainer):
+    decaying = partial(GaussianExploration, sigma=0.4, sigma_end=0.1, decay_steps=150)
+    first = make_trainer(exploration=decaying, total_steps=100, warmup_steps=40, num_seeds=2)
+    first.run()
+    first.close()
+    assert first.exploration.sigma == pytest.approx(0.2)
+    second = make_trainer(exploration=decaying, total_steps=200, warmup_steps=40, num_seeds=2)
+    second.resume()
+    assert second.exploration.sigma == first.exploration.sigma
+    second.run()
+    second.close()
+    assert second.exploration.sigma == pytest.approx(0.1)
 
 
 def test_the_stored_action_is_the_one_that_acted(make_trainer):
