@@ -9,9 +9,10 @@ from omegaconf import OmegaConf
 from rrl.trainers import assembly
 
 CONFIGS = Path(__file__).parents[1] / "configs"
-CHOICES = [
-    f"{path.parent.name}={path.stem}" if path.parent != CONFIGS else "" for path in sorted(CONFIGS.rglob("*.yaml"))
-]
+ELSEWHERE = {"experiment", "controller=policy", "controller=replay"}
+"""Composed by the experiments' tests: not of `rrl train`, or in need of an earlier run."""
+CHOICES = ["", *(f"{path.parent.name}={path.stem}" for path in sorted(CONFIGS.glob("*/*.yaml")))]
+CHOICES = [choice for choice in CHOICES if not {choice, choice.partition("=")[0]} & ELSEWHERE]
 
 
 def resolve(*overrides):

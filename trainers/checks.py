@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Annotated, Any
 
 import torch
@@ -15,6 +16,7 @@ from rrl.keys import BASE_ACTION, PREVIOUS_ACTION
 
 from .config import Positive, TrainerSettings
 from .environment import Batching, Input
+from .layout import CONFIG_FILE
 
 Config = Mapping[str, Any]
 Problems = Iterator[str]
@@ -60,6 +62,11 @@ class _Algorithm(_Section):
     exploration: Target
 
 
+class _InitFrom(_Section):
+    run: str | None
+    seed: Annotated[int, Field(ge=0)] | None
+
+
 class _Root(_Section):
     """The configuration's layout; what a ``_target_`` takes is checked with the target itself."""
 
@@ -73,6 +80,7 @@ class _Root(_Section):
     disturbance: Targets = None
     safety: Targets = None
     algorithm: _Algorithm
+    init_from: _InitFrom | None = None
     logger: Targets = None
 
 
@@ -82,7 +90,7 @@ def problems(config: Config) -> list[str]:
         _Root.model_validate(config)
     except ValidationError as error:
         return explain(error)
-    return [*_check_targets(config), *_check_render(config)] or list(_check_entries(config))
+    return [*_check_targets(config), *_check_render(config), *_check_init_from(config)] or list(_check_entries(config))
 
 
 def explain(error: ValidationError, prefix: str = "") -> list[str]:
@@ -185,6 +193,12 @@ def _check_render(config: Config) -> Problems:
         yield f"render.seed: expected a number below trainer.num_seeds ({seeds}), got {render['seed']}"
     if isinstance(render["episode"], str) and render["episode"] != "rescue":
         yield f"render.episode: expected rescue or a number, got {render['episode']!r}"
+
+
+def _check_init_from(config: Config) -> Problems:
+    run = (config.get("init_from") or {}).get("run")
+    if run is not None and not (Path(run).expanduser() / CONFIG_FILE).is_file():
+        yield f"init_from.run: expected the directory of a training run, got {run!r}: no {CONFIG_FILE} there"
 
 
 def _check_entries(config: Config) -> Problems:

@@ -10,9 +10,10 @@ import yaml
 from rich.console import Console
 
 from . import assembly
-from .checkpointing import load_agent, saved_config
+from .checkpointing import saved_config
 from .evaluator import Evaluator
 from .files import write_atomically
+from .frozen import start_from, trained_agent
 from .identity import require_same_run
 from .layout import CONFIG_FILE, VIDEOS
 from .plots import learning_curve
@@ -28,8 +29,8 @@ def train(config: assembly.Config, run_dir: Path, console: Console, *, resume: b
         require_same_run(saved_config(run_dir) or config, config)
     trainer = assembly.trainer(config, run_dir, Progress(console))
     try:
-        if resume:
-            _resume(trainer, console)
+        if not (resume and _resume(trainer, console)):
+            start_from(trainer.agent, config)
         trainer.require_new_or_resumed()
         write_atomically(run_dir / CONFIG_FILE, yaml.safe_dump(dict(config), sort_keys=False))
         results = trainer.run()
@@ -42,13 +43,16 @@ def train(config: assembly.Config, run_dir: Path, console: Console, *, resume: b
         trainer.close()
 
 
-def _resume(trainer: Trainer, console: Console) -> None:
+def _resume(trainer: Trainer, console: Console) -> bool:
+    """Whether there was a checkpoint to go on from."""
     try:
         console.print(f"resuming from {trainer.resume()}", highlight=False)
+        return True
     except FileNotFoundError:
         if trainer.store.log.count:
             raise
         console.print("the run was stopped before its first checkpoint: starting from the beginning", highlight=False)
+        return False
 
 
 def _report(config: assembly.Config, trainer: Trainer, results: Results, console: Console) -> None:
@@ -90,17 +94,8 @@ def render(config: assembly.Config, run_dir: Path, console: Console) -> None:
 def _evaluate(config: assembly.Config, run_dir: Path, console: Console) -> tuple[Results, Any, list[int]]:
     assembly.check(config)
     settings = assembly.settings(config)
-    factory = assembly.environment(config)
-    env = factory.make(1)
-    spec, action = env.observation_spec["observation"], env.full_action_spec["action"]
-    agent = assembly.build(config["algorithm"]["agent"])(
-        input_sizes={"observation": spec.shape[-1]},
-        action_size=action.shape[-1],
-        num_seeds=settings.num_seeds,
-        seed=settings.seed,
-    )
-    env.close()
-    console.print(f"loaded {load_agent(run_dir, agent)}", highlight=False, soft_wrap=True)
+    agent, path = trained_agent(config, run_dir)
+    console.print(f"loaded {path}", highlight=False, soft_wrap=True)
     evaluator = Evaluator(assembly.scenarios(config), settings.evaluation)
     results = evaluator.final(agent, settings.num_seeds, Progress(console))
     evaluator.close()

@@ -131,6 +131,25 @@ class Agent(nn.Module, ABC):
         steps = self._critic_step, self._critic_and_target_step, self._critic_and_policy_step
         self._steps = [compile_update(step) for step in steps] if compiled else steps
 
+    def start_from(self, other: Agent, k: int) -> None:
+        """Take the networks of learner ``k`` of ``other`` as every learner's initial weights; optimisers stay fresh.
+
+        Raises:
+            ValueError: if ``other`` is of another algorithm or has networks of other sizes.
+
+        """
+        given, own = other.loss.state_dict(), self.loss.state_dict()
+        weights = [name for name, value in own.items() if value.ndim >= 3]  # [..., S, rows, columns]
+        for name in weights:
+            if name not in given or given[name].shape[-2:] != own[name].shape[-2:]:
+                raise ValueError(
+                    f"initial weights: expected a {type(self).__name__} with {name} of {tuple(own[name].shape[-2:])}, "
+                    f"got a {type(other).__name__} with {tuple(given[name].shape[-2:]) if name in given else 'none'}"
+                )
+        with torch.no_grad():
+            for name in weights:
+                own[name].copy_(given[name].narrow(-3, k, 1))
+
     # ---------------------------------------------------------------- acting
 
     @property
