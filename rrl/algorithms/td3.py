@@ -11,6 +11,7 @@ from torch import Tensor
 from torchrl.objectives import TD3Loss
 
 from rrl.algorithms.base import Agent, check_hyperparameters
+from rrl.algorithms.ensemble import SUBSET, EnsembleTD3Loss, draw_subsets
 from rrl.keys import ACTION
 
 SMOOTHING = "target_smoothing"
@@ -39,6 +40,9 @@ class TD3(Agent):
     """Twin delayed DDPG (Fujimoto et al., 2018) for ``S`` independent seeds at once.
 
     The paper's choice of algorithm (section III-B). Policy *and* targets move on every ``policy_delay``-th update.
+    With more critics, or a target of fewer, it learns in the manner of REDQ (Chen et al., 2021): each target is the
+    least of a random subset of the critics, the policy climbs the mean of all. Together with ``layer_norm`` and several
+    updates a step that is DroQ (Hiraoka et al., 2022) without its dropout.
 
     Args:
         input_sizes: size of each observation entry that actor and critics read, by key.
@@ -55,6 +59,9 @@ class TD3(Agent):
         policy_delay: critic updates per update of policy and targets.
         critic_burn_in: updates at the start in which the critics learn and the policy waits.
         target_noise, target_noise_clip: standard deviation and bound of target policy smoothing.
+        num_critics: size of the ensemble; with 2, and both in the target, it is TD3 itself.
+        target_subset: how many critics, drawn anew for every update, make the target.
+        residual_penalty: weight of the mean squared action in the policy's loss, in units of the critics' value.
         loss_function: the critics' loss, ``"l2"`` (the paper's code) or ``"smooth_l1"``.
         reward_scale: factor on the stored reward before the critics see it.
         compiled: compile the whole update into one graph.
@@ -78,6 +85,9 @@ class TD3(Agent):
         critic_burn_in: int = 0,
         target_noise: float = 0.2,
         target_noise_clip: float = 0.5,
+        num_critics: int = 2,
+        target_subset: int = 2,
+        residual_penalty: float = 0.0,
         loss_function: str = "l2",
         reward_scale: float = 1.0,
         compiled: bool = False,
@@ -88,6 +98,12 @@ class TD3(Agent):
                 "target_noise and target_noise_clip: expected values of 0 or more, got "
                 f"{target_noise} and {target_noise_clip}"
             )
+        if not 1 <= target_subset <= num_critics:
+            raise ValueError(
+                f"target_subset: expected 1 to num_critics ({num_critics}) critics in the target, got {target_subset}"
+            )
+        if residual_penalty < 0:
+            raise ValueError(f"residual_penalty: expected a weight of 0 or more, got {residual_penalty}")
         super().__init__(
             input_sizes,
             action_size,
@@ -99,14 +115,18 @@ class TD3(Agent):
             critic_burn_in=critic_burn_in,
         )
         self.target_noise, self.target_noise_clip = target_noise, target_noise_clip
+        self.num_critics, self.target_subset = num_critics, target_subset
+        self.residual_penalty = residual_penalty
         actor = self.make_actor(action_size, hidden, last_layer_bound, squash=True)
-        loss = TD3Loss(
+        make_loss = TD3Loss if (num_critics, target_subset) == (2, 2) else EnsembleTD3Loss
+        loss = make_loss(
             TensorDictSequential(
                 TensorDictModule(actor, in_keys=self.input_keys, out_keys=[ACTION]),
                 TargetSmoothing(),
             ),
             # a list keeps each critic's own initialisation: TD3Loss would redraw copies of a single one
-            self.make_critics(2, hidden, layer_norm),
+            self.make_critics(num_critics, hidden, layer_norm),
+            num_qvalue_nets=num_critics,
             bounds=(-1.0, 1.0),
             policy_noise=0.0,  # see TargetSmoothing
             loss_function=loss_function,
@@ -124,15 +144,18 @@ class TD3(Agent):
         )
 
     def prepare(self, batches: TensorDictBase) -> None:
-        """Draw the noise of target policy smoothing."""
+        """Draw the noise of target policy smoothing and the critics of each target."""
         batches["next", SMOOTHING] = self._draw_smoothing(batches[ACTION].shape)
+        if self.target_subset < self.num_critics:
+            subsets = draw_subsets(self._noise, len(batches), self.num_critics, self.target_subset)
+            batches["next", SUBSET] = subsets.unsqueeze(2).expand(*batches.shape, -1)
 
     def _draw_smoothing(self, shape: torch.Size) -> Tensor:
         clip = self.target_noise_clip
         return (self.draw(shape) * self.target_noise).clamp_(-clip, clip)
 
     def value_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the sum of the two critics' losses, with ``q_value`` and ``target_value``."""
+        """Return the sum of the critics' losses, with ``q_value`` and ``target_value``."""
         loss, info = self.loss.value_loss(batch)
         return loss, {
             "q_value": info["pred_value"].mean((0, -1)),
@@ -140,5 +163,9 @@ class TD3(Agent):
         }
 
     def actor_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return minus the first critic's value."""
-        return self.loss.actor_loss(batch)[0], {}
+        """Return minus the first critic's value, or an ensemble's mean, plus penalty, with ``residual_square``."""
+        loss = self.loss.actor_loss(batch)[0]
+        if not self.residual_penalty:
+            return loss, {}
+        square = self._actor(*(batch[key] for key in self.input_keys)).square().mean(-1)
+        return loss + self.residual_penalty * square, {"residual_square": square.detach().mean(-1)}

@@ -6,6 +6,7 @@ from functools import partial
 
 import pytest
 import torch
+from agents import ACTION, OBSERVATION, batches, critics, make_agent, parameters
 from scipy import stats
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
@@ -18,36 +19,14 @@ from rrl.exploration import GaussianExploration, NoExploration
 from rrl.trainers import EnvironmentFactory, Trainer, TrainerSettings
 from toy_envs import EPISODE_STEPS, PointMass
 
-BATCH, OBSERVATION, ACTION = 16, 5, 2
 ALGORITHMS = [TD3, SAC, DDPG]
 each_algorithm = pytest.mark.parametrize("algorithm", ALGORITHMS)
-
-
-def make(algorithm, num_seeds=1, **arguments):
-    return algorithm({"observation": OBSERVATION}, ACTION, num_seeds=num_seeds, hidden=[32, 32], **arguments)
-
-
-def batches(k, num_seeds, seed=0):
-    g = torch.Generator().manual_seed(seed)
-    shape = k, num_seeds, BATCH
-
-    def normal(size):
-        return torch.randn(*shape, size, generator=g)
-
-    terminated = torch.rand(*shape, 1, generator=g) < 0.1
-    following = {"observation": normal(OBSERVATION), "reward": normal(1), "done": terminated.clone()}
-    root = {"observation": normal(OBSERVATION), "action": normal(ACTION).tanh()}
-    return TensorDict({**root, "next": {**following, "terminated": terminated}}, shape)
-
-
-def parameters(agent):
-    return {k: v for k, v in agent.state_dict().items() if isinstance(v, torch.Tensor)}
 
 
 @each_algorithm
 @pytest.mark.parametrize("layer_norm", [False, True])
 def test_seeds_do_not_touch_each_other(algorithm, layer_norm):
-    one, other = make(algorithm, 3, layer_norm=layer_norm), make(algorithm, 3, layer_norm=layer_norm)
+    one, other = make_agent(algorithm, 3, layer_norm=layer_norm), make_agent(algorithm, 3, layer_norm=layer_norm)
     data = batches(4, 3)
     changed = data.clone()
     changed["next", "reward"][:, 1] += 10.0
@@ -60,7 +39,7 @@ def test_seeds_do_not_touch_each_other(algorithm, layer_norm):
 
 @each_algorithm
 def test_a_seed_learns_in_a_stack_what_it_learns_alone(algorithm):
-    stack, alone = make(algorithm, 3, seed=5), make(algorithm, 1, seed=6)
+    stack, alone = make_agent(algorithm, 3, seed=5), make_agent(algorithm, 1, seed=6)
     data = batches(6, 3)
     stack.update(data.clone())
     alone.update(data[:, 1:2].clone())
@@ -70,7 +49,7 @@ def test_a_seed_learns_in_a_stack_what_it_learns_alone(algorithm):
 
 @each_algorithm
 def test_an_untrained_residual_is_exactly_zero(algorithm):
-    agent = make(algorithm, 2)
+    agent = make_agent(algorithm, 2)
     td = TensorDict({"observation": torch.randn(2, OBSERVATION)}, [2])
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         assert torch.equal(agent.policy(td)["action"], torch.zeros(2, ACTION))
@@ -79,7 +58,7 @@ def test_an_untrained_residual_is_exactly_zero(algorithm):
 
 @each_algorithm
 def test_state_dict_restores_acting_and_the_next_update_to_the_last_bit(algorithm):
-    agent, other = make(algorithm, 2), make(algorithm, 2, seed=7)
+    agent, other = make_agent(algorithm, 2), make_agent(algorithm, 2, seed=7)
     td = TensorDict({"observation": torch.randn(4, OBSERVATION)}, [4])
     agent.update(batches(3, 2))
     agent.policy(td.clone())
@@ -95,7 +74,7 @@ def test_state_dict_restores_acting_and_the_next_update_to_the_last_bit(algorith
 
 @pytest.mark.parametrize("algorithm", [SAC, DDPG])  # TorchRL's TD3Loss draws numbers that it multiplies by 0
 def test_the_global_generator_is_left_alone(algorithm):
-    agent = make(algorithm, 2)
+    agent = make_agent(algorithm, 2)
     before = torch.get_rng_state()
     agent.update(batches(3, 2))
     agent.policy(TensorDict({"observation": torch.randn(4, OBSERVATION, generator=torch.Generator())}, [4]))
@@ -104,7 +83,7 @@ def test_the_global_generator_is_left_alone(algorithm):
 
 @each_algorithm
 def test_in_the_burn_in_critics_and_targets_learn_and_the_policy_waits(algorithm):
-    agent = make(algorithm, last_layer_bound=0.1, critic_burn_in=4)
+    agent = make_agent(algorithm, last_layer_bound=0.1, critic_burn_in=4)
     before = copy.deepcopy(parameters(agent))
     metrics = agent.update(batches(4, 1))
     moved = {name for name in before if not torch.equal(before[name], parameters(agent)[name])}
@@ -119,7 +98,7 @@ def test_in_the_burn_in_critics_and_targets_learn_and_the_policy_waits(algorithm
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # the compiler warns of its own doings
 def test_the_compiled_update_equals_the_eager_one(algorithm):
-    eager, compiled = (make(algorithm, 2, last_layer_bound=0.1, compiled=c) for c in (False, True))
+    eager, compiled = (make_agent(algorithm, 2, last_layer_bound=0.1, compiled=c) for c in (False, True))
     for learner in (eager, compiled):
         learner.update(batches(10, 2))
     for name, value in parameters(eager).items():
@@ -130,7 +109,7 @@ def test_the_compiled_update_equals_the_eager_one(algorithm):
 @pytest.mark.filterwarnings("default")
 def test_two_compiled_learners_keep_their_own_hyperparameters():
     for gamma in (0.5, 0.9):
-        eager, compiled = (make(TD3, gamma=gamma, actor_lr=gamma / 100, compiled=c) for c in (False, True))
+        eager, compiled = (make_agent(TD3, gamma=gamma, actor_lr=gamma / 100, compiled=c) for c in (False, True))
         for learner in (eager, compiled):
             learner.update(batches(4, 1))
         for name, value in parameters(eager).items():
@@ -141,13 +120,13 @@ def test_two_compiled_learners_keep_their_own_hyperparameters():
 @pytest.mark.parametrize(("name", "value"), [("gamma", 1.0), ("tau", 0.0), ("policy_delay", 0), ("critic_burn_in", -1)])
 def test_bad_hyperparameters_are_named(algorithm, name, value):
     with pytest.raises(ValueError, match=name):
-        make(algorithm, **{name: value})
+        make_agent(algorithm, **{name: value})
 
 
 @pytest.mark.parametrize(("name", "value"), [("initial_std", 0.0), ("initial_temperature", 0.0)])
 def test_bad_hyperparameters_of_sac_are_named(name, value):
     with pytest.raises(ValueError, match=name):
-        make(SAC, **{name: value})
+        make_agent(SAC, **{name: value})
 
 
 def test_the_squashed_gaussian_is_torchrls_tanh_normal():
@@ -163,7 +142,7 @@ def test_the_squashed_gaussian_is_torchrls_tanh_normal():
 
 def test_sacs_critic_learns_the_soft_bellman_target():
     """The target, written out: r + gamma (1 - terminated) (min Q' - alpha log pi)."""
-    agent = make(SAC, 2, last_layer_bound=0.3, initial_temperature=0.7, gamma=0.9)
+    agent = make_agent(SAC, 2, last_layer_bound=0.3, initial_temperature=0.7, gamma=0.9)
     batch = batches(1, 2)
     agent.prepare(batch)
     batch = batch[0]
@@ -173,28 +152,16 @@ def test_sacs_critic_learns_the_soft_bellman_target():
         before = loc + scale * batch["next", "action_noise"]
         log_prob = TanhNormal(loc, scale, event_dims=1).log_prob(before.tanh())
         inputs = batch["next", "observation"], before.tanh()
-        following = torch.stack([q(*inputs) for q in critics(agent, "target_qvalue_network_params")]).min(0)[0]
-        soft = following.squeeze(-1) - 0.7 * log_prob
+        least = torch.stack([q(*inputs) for q in critics(agent, "target_qvalue_network_params")]).min(0)[0]
+        soft = least - 0.7 * log_prob
         target = batch["next", "reward"].squeeze(-1) + 0.9 * ~batch["next", "terminated"].squeeze(-1) * soft
         now = torch.stack([q(batch["observation"], batch["action"]) for q in critics(agent, "qvalue_network_params")])
-        expected = (now.squeeze(-1) - target).square().sum(0)
+        expected = (now - target).square().sum(0)
     torch.testing.assert_close(loss, expected, rtol=1e-3, atol=1e-4)
 
 
-def critics(agent, params):
-    """The critics as functions of observation and action, with the parameters of that name."""
-    for stacked in getattr(agent.loss, params).unbind(0):
-
-        def q(observation, action, stacked=stacked):
-            td = TensorDict({"observation": observation, "action": action}, observation.shape[:-1])
-            with stacked.data.to_module(agent.loss.qvalue_network):
-                return agent.loss.qvalue_network(td)["state_action_value"]
-
-        yield q
-
-
 def test_sac_tunes_each_seeds_temperature_to_the_entropy():
-    agent = make(SAC, 2, initial_std=0.01, temperature_lr=0.01)  # far too little entropy
+    agent = make_agent(SAC, 2, initial_std=0.01, temperature_lr=0.01)  # far too little entropy
     for i in range(20):
         agent.update(batches(5, 2, seed=i))
     assert (agent.temperature > 0.1).all()
@@ -202,7 +169,7 @@ def test_sac_tunes_each_seeds_temperature_to_the_entropy():
 
 def test_a_stochastic_policy_acts_alike_in_any_stack():
     td = TensorDict({"observation": torch.zeros(6, OBSERVATION)}, [6])
-    stack, alone = make(SAC, 3, seed=4).policy(td.clone()), make(SAC, 1, seed=5).policy(td[2:4].clone())
+    stack, alone = make_agent(SAC, 3, seed=4).policy(td.clone()), make_agent(SAC, 1, seed=5).policy(td[2:4].clone())
     torch.testing.assert_close(stack["action"][2:4], alone["action"])
     assert stack["action"].unique(dim=0).shape[0] == 6
 
