@@ -6,12 +6,12 @@ from functools import partial
 
 import pytest
 import torch
-from agents import ACTION, OBSERVATION, batches, critics, make_agent, parameters
 from scipy import stats
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import TanhNormal
 
+from agents import ACTION, OBSERVATION, batches, critics, make_agent, parameters
 from rrl.algorithms import DDPG, SAC, TD3
 from rrl.algorithms.squashed_gaussian import SquashedGaussian
 from rrl.controllers import ProportionalController

@@ -4,10 +4,10 @@ import copy
 
 import pytest
 import torch
-from agents import BATCH, OBSERVATION, batches, critics, make_agent, parameters
 from tensordict import TensorDict
 from torchrl.objectives import TD3Loss
 
+from agents import BATCH, OBSERVATION, batches, critics, make_agent, parameters
 from rrl.algorithms.ensemble import SUBSET, EnsembleTD3Loss, draw_subsets
 from rrl.random import SlotGenerators
 

@@ -4,9 +4,10 @@ import copy
 
 import pytest
 import torch
-from agents import OBSERVATION, batches, make_agent, parameters
 from tensordict import TensorDict
 from torchrl.objectives import SoftUpdate
+
+from agents import OBSERVATION, batches, make_agent, parameters
 
 
 def test_equals_torchrl_loss_adam_and_soft_update():
