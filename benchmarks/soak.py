@@ -12,6 +12,7 @@ more than a tenth.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import signal
 import sys
@@ -39,6 +40,9 @@ MEMORY_SLACK = 24.0
 """MiB that the allocators may move by."""
 
 SPEED_SLACK = 0.10
+BLINK = 0.25
+"""Seconds between two looks at the open files: TensorBoard's own thread opens its file anew for every flush, each
+120 s, and closes it; what is open at both looks stays open."""
 
 
 @dataclass
@@ -48,7 +52,7 @@ class Sample:
     seconds: float
     env_steps: int
     memory: float  # MiB
-    files: int
+    files: dict[str, str]  # descriptor to what it is open on
     threads: int
     cpu: float  # seconds
     speed: float = 0.0  # environment steps of one seed per second
@@ -59,9 +63,25 @@ def sample(start: float, env_steps: int) -> Sample:
     """Look at this process."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     memory = pages * os.sysconf("SC_PAGE_SIZE") / 2**20
-    files = len(os.listdir("/proc/self/fd"))  # noqa: PTH208 - counted, not opened
     threads = len(os.listdir("/proc/self/task"))  # noqa: PTH208
-    return Sample(time.monotonic() - start, env_steps, memory, files, threads, time.process_time())
+    return Sample(time.monotonic() - start, env_steps, memory, lasting_files(), threads, time.process_time())
+
+
+def lasting_files() -> dict[str, str]:
+    """Descriptors of this process that are open on the same thing at two looks."""
+    before = open_files()
+    time.sleep(BLINK)
+    now = open_files()
+    return {number: target for number, target in now.items() if before.get(number) == target}
+
+
+def open_files() -> dict[str, str]:
+    """Every open descriptor and what it is open on."""
+    found = {}
+    for descriptor in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(FileNotFoundError):  # closed since it was listed
+            found[descriptor.name] = str(descriptor.readlink())
+    return found
 
 
 def watch(trainer, minutes: float, window: float) -> list[Sample]:
@@ -96,7 +116,7 @@ def show(s: Sample) -> None:
     """Print one line."""
     print(
         f"{s.seconds:7.0f} s {s.env_steps:9d} steps {s.speed:8.1f} steps/s {s.cpu_speed:8.1f} steps/CPU s "
-        f"{s.memory:8.1f} MiB {s.files:4d} files {s.threads:4d} threads",
+        f"{s.memory:8.1f} MiB {len(s.files):4d} files {s.threads:4d} threads",
         flush=True,
     )
 
@@ -105,8 +125,9 @@ def verdict(samples: list[Sample]) -> list[str]:
     """What grew that must not."""
     first, last = samples[2], samples[-1]
     found = []
-    if last.files > first.files:
-        found.append(f"open files grew from {first.files} to {last.files}")
+    if len(last.files) > len(first.files):
+        new = sorted(set(last.files.values()) - set(first.files.values()))
+        found.append(f"open files grew from {len(first.files)} to {len(last.files)}: {', '.join(new)}")
     if last.threads > first.threads:
         found.append(f"threads grew from {first.threads} to {last.threads}")
     if last.memory - first.memory > MEMORY_SLACK:
