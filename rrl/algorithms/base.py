@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.objectives import LossModule, SoftUpdate
@@ -22,6 +22,9 @@ from rrl.random import SlotGenerators
 __all__ = ["Agent", "check_hyperparameters"]
 
 LOSS_FUNCTIONS = ("l1", "l2", "smooth_l1")
+
+Step = Callable[..., dict[str, Tensor]]
+"""One gradient update, of the entries' names and then their tensors ``[S, B, ...]``, to metrics ``[S]``."""
 
 
 class Agent(nn.Module, ABC):
@@ -129,7 +132,7 @@ class Agent(nn.Module, ABC):
         self.critic_optimizer = Adam(self._critic_params, critic_lr)
         self.actor_optimizer = Adam(self._actor_params, actor_lr)
         steps = self._critic_step, self._critic_and_target_step, self._critic_and_policy_step
-        self._steps = [compile_update(step) for step in steps] if compiled else steps
+        self._steps: Sequence[Step] = [compile_update(step) for step in steps] if compiled else steps
 
     def start_from(self, other: Agent, k: int) -> None:
         """Take the networks of learner ``k`` of ``other`` as every learner's initial weights; optimisers stay fresh.
@@ -184,15 +187,24 @@ class Agent(nn.Module, ABC):
         following = batches["next"]
         following["reward"] = following["reward"] * self.reward_scale
         self.prepare(batches)
-        sums: dict[str, Tensor] = {}
-        counts: dict[str, int] = {}
-        for i in range(batches.shape[0]):
-            for name, value in self._next_step()(batches[i]).items():
-                sums[name] = sums.get(name, 0.0) + value
-                counts[name] = counts.get(name, 0) + 1
-        return {name: sums[name] / counts[name] for name in sums}
+        keys, rows = self._rows(batches)
+        history: dict[str, list[Tensor]] = {}
+        for row in rows:
+            for name, value in self._next_step()(keys, *row).items():
+                history.setdefault(name, []).append(value)
+        return {name: torch.stack(values).mean(0) for name, values in history.items()}
 
-    def _next_step(self) -> Any:
+    def _rows(self, batches: TensorDictBase) -> tuple[tuple[NestedKey, ...], Iterator[tuple[Tensor, ...]]]:
+        """The entries of ``batches`` [k, S, B] and, for each of the ``k`` updates, their tensors.
+
+        A compiled update takes plain, contiguous tensors: it skips the guards that would notice other strides, and
+        a TensorDict among its arguments costs more than some of its products.
+        """
+        entries = sorted(batches.items(True, True), key=lambda item: str(item[0]))
+        columns = [value.contiguous().unbind(0) for _, value in entries]
+        return tuple(key for key, _ in entries), zip(*columns, strict=True)
+
+    def _next_step(self) -> Step:
         self.num_updates += 1
         if self.num_updates % self.policy_delay:
             return self._steps[0]
@@ -214,19 +226,27 @@ class Agent(nn.Module, ABC):
     def actor_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the policy's loss ``[S, B]`` and metrics ``[S]``."""
 
-    def _critic_step(self, batch: TensorDictBase) -> dict[str, Tensor]:
+    def _batch(self, keys: tuple[NestedKey, ...], tensors: tuple[Tensor, ...]) -> TensorDict:
+        """One batch ``[S, B]`` of its entries' tensors."""
+        return TensorDict(dict(zip(keys, tensors, strict=True)), tensors[0].shape[:2])
+
+    def _learn_values(self, batch: TensorDictBase) -> dict[str, Tensor]:
         loss, info = self.value_loss(batch)
         loss = loss.mean(-1)
         self.critic_optimizer.step(torch.autograd.grad(loss.sum(), self._critic_params))
         return {"loss_critic": loss.detach(), **info}
 
-    def _critic_and_target_step(self, batch: TensorDictBase) -> dict[str, Tensor]:
-        metrics = self._critic_step(batch)
+    def _critic_step(self, keys: tuple[NestedKey, ...], *tensors: Tensor) -> dict[str, Tensor]:
+        return self._learn_values(self._batch(keys, tensors))
+
+    def _critic_and_target_step(self, keys: tuple[NestedKey, ...], *tensors: Tensor) -> dict[str, Tensor]:
+        metrics = self._learn_values(self._batch(keys, tensors))
         self.soft_update.step()
         return metrics
 
-    def _critic_and_policy_step(self, batch: TensorDictBase) -> dict[str, Tensor]:
-        metrics = self._critic_step(batch)
+    def _critic_and_policy_step(self, keys: tuple[NestedKey, ...], *tensors: Tensor) -> dict[str, Tensor]:
+        batch = self._batch(keys, tensors)
+        metrics = self._learn_values(batch)
         loss, info = self.actor_loss(batch)
         loss = loss.mean(-1)
         self.actor_optimizer.step(torch.autograd.grad(loss.sum(), self._actor_params))
