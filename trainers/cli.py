@@ -9,15 +9,17 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
 import hydra
+import yaml
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from .layout import CONFIG_FILE
+from .layout import CONFIG_FILE, REPORT
 
 USAGE = """usage: rrl COMMAND [key=value ...]
 
@@ -25,6 +27,9 @@ USAGE = """usage: rrl COMMAND [key=value ...]
   rrl train resume=RUN [key=value ...]  continue a run from its newest checkpoint
   rrl evaluate run=RUN [key=value ...]  evaluate a run's newest checkpoint on frozen episodes
   rrl render run=RUN [key=value ...]    write a video of controller and residual on one episode
+  rrl report RUN... [out=FILE]          write one interactive page about a run, or about several side by side
+  rrl reproduce [NAME ...] [key=value]  make the paper's experiments again, all or those named (configs/experiment/);
+                                        scale=quick|paper launcher=local|ray workers=N out=FOLDER
   rrl new NAME                          make a folder with environment, controller and configuration of your own
 
 RUN is a run's directory. Keys and groups: rrl train --help; the whole configuration: rrl train --cfg job.
@@ -35,7 +40,7 @@ SIGTERM and Ctrl-C finish the round, save and print how to go on; the second one
 Exit status: 0 done, 2 an error (one message on stderr), 130 or 143 stopped by Ctrl-C or SIGTERM.
 """
 
-COMMANDS = ("train", "evaluate", "render", "new")
+COMMANDS = ("train", "evaluate", "render", "report", "reproduce", "new")
 USER_CONFIGS = "configs"
 """Folder in the working directory whose groups are added to ours."""
 
@@ -50,8 +55,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if command not in COMMANDS:
             raise ValueError(f"unknown command {command!r}; choose one of {', '.join(COMMANDS)}")
-        if command == "new":
-            _new(rest)
+        if command in WITHOUT_CONFIGURATION:
+            WITHOUT_CONFIGURATION[command](rest)
             return 0
         run_dir, overrides = _split_run(command, rest)
         _hydra(command, run_dir, overrides)
@@ -76,6 +81,47 @@ def _new(arguments: list[str]) -> None:
     for path in create(name, Path.cwd()):
         print(f"  {path.relative_to(Path.cwd())}")
     print(f"\ncd {name} && rrl train env={name} controller={name}")
+
+
+def _report(arguments: list[str]) -> None:
+    from .report import write_report
+    from .runs import find_runs
+
+    chosen = [a.removeprefix("out=") for a in arguments if a.startswith("out=")]
+    named = [Path(a).expanduser() for a in arguments if not a.startswith("out=")]
+    if not named or any("=" in path.name and not path.exists() for path in named):
+        raise ValueError(f"expected directories of runs, rrl report RUN... [out=FILE], got {arguments}")
+    runs = find_runs(named)
+    out = Path(chosen[-1]).expanduser() if chosen else (runs[0].path if len(runs) == 1 else Path.cwd()) / REPORT
+    print(f"  {write_report(runs, out)}")
+
+
+def _reproduce(arguments: list[str]) -> None:
+    _quieten()
+    from .experiments.reproduce import reproduce
+
+    names = [a for a in arguments if "=" not in a]
+    changes = {key: yaml.safe_load(value) for key, _, value in (a.partition("=") for a in arguments if "=" in a)}
+    ours, theirs = Path(__file__).parents[1] / USER_CONFIGS, Path.cwd() / USER_CONFIGS
+    folders = [folder for folder in (theirs, ours) if folder.is_dir()]
+    sys.path.append(str(Path.cwd()))
+    reproduce(names, changes, partial(_compose, folders), folders, Console())
+
+
+def _compose(folders: Sequence[Path], overrides: Sequence[str]) -> dict[str, Any]:
+    """The configuration that ``rrl train`` would have with these overrides."""
+    found = [f"hydra.searchpath=[{','.join(f'file://{folder}' for folder in folders[:-1])}]"]
+    OmegaConf.register_new_resolver("plain", plain_name, replace=True)
+    with hydra.initialize_config_module("rrl.configs", version_base="1.3"):
+        config = hydra.compose("train", overrides=[*found, *overrides])
+    return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True, throw_on_missing=True))
+
+
+WITHOUT_CONFIGURATION: dict[str, Callable[[list[str]], None]] = {
+    "new": _new,
+    "report": _report,
+    "reproduce": _reproduce,
+}
 
 
 def _split_run(command: str, arguments: list[str]) -> tuple[Path | None, list[str]]:
@@ -140,13 +186,11 @@ def plain_name(name: str) -> str:
 
 
 def _run(command: str, hydra_config: DictConfig, *, resume: bool) -> None:
-    # importing TorchRL warns of its own deprecated classes
-    warnings.filterwarnings("ignore", message="Creating .* inherits from WeightUpdaterBase")
+    _quieten()
     from . import (
         commands,  # here, because it imports torch and torchrl: help and usage errors come at once
     )
 
-    logging.getLogger("torchrl").setLevel(logging.WARNING)
     container = OmegaConf.to_container(hydra_config, resolve=True, throw_on_missing=True)
     config = cast(dict[str, Any], container)
     run_dir = Path(HydraConfig.get().runtime.output_dir)
@@ -157,6 +201,12 @@ def _run(command: str, hydra_config: DictConfig, *, resume: bool) -> None:
         commands.evaluate(config, run_dir, console)
     else:
         commands.render(config, run_dir, console)
+
+
+def _quieten() -> None:
+    """Keep to itself what TorchRL says when it is imported: that it is there, and that some of it is deprecated."""
+    warnings.filterwarnings("ignore", message="Creating .* inherits from WeightUpdaterBase")
+    logging.getLogger("torchrl").setLevel(logging.WARNING)
 
 
 def _message(error: BaseException) -> str:

@@ -15,9 +15,11 @@ from .evaluator import Evaluator
 from .files import write_atomically
 from .frozen import start_from, trained_agent
 from .identity import require_same_run
-from .layout import CONFIG_FILE, VIDEOS
+from .layout import CONFIG_FILE, METRICS, REPORT, VIDEOS
 from .plots import learning_curve
 from .progress import Progress
+from .report import write_report
+from .runs import find_runs, write_versions
 from .summary import Results, terminal_table, write_results
 from .trainer import Trainer
 from .video import choose_episode, render_comparison
@@ -33,6 +35,7 @@ def train(config: assembly.Config, run_dir: Path, console: Console, *, resume: b
             start_from(trainer.agent, config)
         trainer.require_new_or_resumed()
         write_atomically(run_dir / CONFIG_FILE, yaml.safe_dump(dict(config), sort_keys=False))
+        write_versions(run_dir)
         results = trainer.run()
         _report(config, trainer, results, console)
     except Exception:
@@ -61,10 +64,11 @@ def _report(config: assembly.Config, trainer: Trainer, results: Results, console
     console.print(terminal_table(results, seeds, title=str(config["name"])))
     scenario = next(iter(results))
     written = [run_dir / "results.md", run_dir / CONFIG_FILE]
-    if trainer.env_steps and (run_dir / "metrics.csv").exists():
+    if trainer.env_steps and (run_dir / METRICS).exists():
         written.append(learning_curve(run_dir, scenario, run_dir / "learning_curve.png"))
     video = _video(config, trainer.agent, results, scenario, run_dir, console)
     written += [video] if video else []
+    written.append(write_report(find_runs([run_dir]), run_dir / REPORT))
     for path in written:
         console.print(f"  {path}", highlight=False, soft_wrap=True)
     for path in written:

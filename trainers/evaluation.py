@@ -90,6 +90,8 @@ class Comparison:
             out |= {
                 "rescues": rescues,
                 "regressions": regressions,
+                "rescue_rate": rescues / len(self.residual.returns),
+                "regression_rate": regressions / len(self.residual.returns),
                 "mcnemar_p": mcnemar(rescues, regressions),
             }
         return out

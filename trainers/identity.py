@@ -52,7 +52,7 @@ def require_same_run(saved: Mapping[str, Any], current: Mapping[str, Any]) -> No
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
     """Dotted keys of all entries that differ, with both values as JSON."""
-    before, after = _leaves(old, ""), _leaves(new, "")
+    before, after = leaves(old), leaves(new)
     keys = sorted(before.keys() | after.keys())
     values = {key: (before.get(key, ABSENT), after.get(key, ABSENT)) for key in keys}
     return {key: pair for key, pair in values.items() if pair[0] != pair[1]}
@@ -62,10 +62,11 @@ def _may_change(key: str) -> bool:
     return any(fnmatchcase(key, pattern) for pattern in MAY_CHANGE)
 
 
-def _leaves(node: Any, path: str) -> dict[str, str]:
+def leaves(node: Any, path: str = "") -> dict[str, str]:
+    """Dotted keys of a configuration's entries, with their values as JSON."""
     if isinstance(node, Mapping) and node:
         found: dict[str, str] = {}
         for key, child in node.items():
-            found |= _leaves(child, f"{path}.{key}" if path else str(key))
+            found |= leaves(child, f"{path}.{key}" if path else str(key))
         return found
     return {path: json.dumps(node, default=str)} if path else {}

@@ -3,3 +3,7 @@
 CONFIG_FILE = "config.yaml"
 CHECKPOINTS = "checkpoints"
 VIDEOS = "videos"
+METRICS = "metrics.csv"
+RESULTS = "results.json"
+VERSIONS = "versions.json"
+REPORT = "report.html"

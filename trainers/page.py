@@ -87,7 +87,7 @@ class Page:
             self.image(path, caption)
             return
         source = _data_uri(Path(path), "video")
-        self._figure(f'<video controls loop muted playsinline preload="metadata" src="{source}"></video>', caption)
+        self._figure(f'<video controls loop muted playsinline preload="auto" src="{source}"></video>', caption)
 
     def chart(self, figure: Figure, caption: str = "") -> None:
         """Add an interactive Plotly figure; background, text and grid follow the reader's light or dark theme."""

@@ -5,14 +5,17 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from rich.table import Table
 
-from .evaluation import Comparison
-from .statistics import mean_interval, wilson
+from .statistics import mean_interval
 
-Results = Mapping[str, Sequence[Comparison]]
+if TYPE_CHECKING:  # it needs torch, and a report of finished runs does not
+    from .evaluation import Comparison
+
+Results: TypeAlias = "Mapping[str, Sequence[Comparison]]"
 """Scenario to one comparison per seed."""
 
 COLUMNS = (
@@ -27,11 +30,12 @@ COLUMNS = (
 
 def rows(results: Results, seeds: Sequence[int]) -> list[list[str]]:
     """One row of text per scenario, for ``COLUMNS``; returns stand in where the environment knows no success."""
-    return [[scenario, *_cells(comparisons)] for scenario, comparisons in results.items() if comparisons]
+    summaries = {name: [c.summary() for c in comparisons] for name, comparisons in results.items() if comparisons}
+    return [[name, *cells(of_seeds)] for name, of_seeds in summaries.items()]
 
 
-def _cells(comparisons: Sequence[Comparison]) -> list[str]:
-    summaries = [c.summary() for c in comparisons]
+def cells(summaries: Sequence[Mapping[str, float]]) -> list[str]:
+    """One scenario's row after its name, from one comparison's summary per seed."""
     if "success" not in summaries[0]:
         returns = [s["return"] for s in summaries]
         each = ", ".join(f"{r:.2f}" for r in returns)
@@ -43,11 +47,9 @@ def _cells(comparisons: Sequence[Comparison]) -> list[str]:
             "",
         ]
     rates = [s["success"] for s in summaries]
-    solved = comparisons[0].controller.success
-    assert solved is not None
-    low, high = wilson(int(solved.sum()), len(solved))
+    solved, low, high = (summaries[0][f"controller_success{end}"] for end in ("", "_low", "_high"))
     return [
-        f"{solved.mean():.0%} [{low:.0%}, {high:.0%}]",
+        f"{solved:.0%} [{low:.0%}, {high:.0%}]",
         _mean_text(rates, "{:.1%}", (0.0, 1.0)),
         ", ".join(f"{rate:.0%}" for rate in rates),
         f"{np.mean([s['rescues'] for s in summaries]):.1f}",

@@ -53,6 +53,8 @@ def test_training_leaves_table_curve_metrics_and_checkpoints(trained):
         "results.md",
         "learning_curve.png",
         "learning_curve.svg",
+        "report.html",
+        "versions.json",
     ):
         assert (run_dir / name).stat().st_size > 0, name
     assert len(list((run_dir / "checkpoints").iterdir())) == 2
