@@ -28,10 +28,15 @@ class Interrupted(Exception):
 
 
 class Interruption:
-    """Remembers that somebody asked the run to stop."""
+    """Remembers that somebody asked the run to stop.
 
-    def __init__(self) -> None:
+    Args:
+        answer: what is done about it, said at the first signal.
+    """
+
+    def __init__(self, answer: str = "finishing this round and saving") -> None:
         self.signal: signal.Signals | None = None
+        self._answer = answer
 
     def check(self) -> None:
         """Raise :class:`Interrupted` if somebody asked."""
@@ -61,4 +66,4 @@ class Interruption:
             os.kill(os.getpid(), number)
             return
         self.signal = signal.Signals(number)
-        log.warning("%s: finishing this round and saving; once more to stop at once", self.signal.name)
+        log.warning("%s: %s; once more to stop at once", self.signal.name, self._answer)

@@ -1,0 +1,200 @@
+"""The paper's claims, each tested by the numbers of its experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..statistics import exact_interval, mean_interval
+from .outcomes import Finding, Findings, Outcome
+from .spread import variances
+
+RESIDUAL, ALONE = "residual RL", "RL alone"
+SIM_ARM = "residual RL on the policy from simulation"
+LEVEL = 1 / 3
+"""A residual is level if it loses at most this share of what the controller loses over a sweep."""
+FEW_STEPS = 1000
+SOLVED = 0.9
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of a claim.
+
+    Attributes:
+        claim: in words, with the criterion.
+        experiment: whose numbers decide it.
+        holds: None if the experiment has not been made.
+        numbers: those that decide.
+    """
+
+    claim: str
+    experiment: str
+    holds: bool | None
+    numbers: str
+
+    @property
+    def word(self) -> str:
+        """The verdict."""
+        return {True: "holds", False: "does not hold", None: "not tested"}[self.holds]
+
+
+Test = Callable[[Finding], tuple[bool, str]]
+
+
+def judge(findings: Findings) -> list[Verdict]:
+    """Every claim whose experiment is there; a claim that lacks some of its outcomes is not tested."""
+    verdicts = []
+    for claim, experiment, test in CLAIMS:
+        if experiment not in findings:
+            continue
+        try:
+            verdicts.append(Verdict(claim, experiment, *test(findings[experiment])))
+        except (IndexError, KeyError) as missing:
+            verdicts.append(Verdict(claim, experiment, None, f"not all runs are finished ({missing})"))
+    return verdicts
+
+
+def learns_faster(finding: Finding) -> tuple[bool, str]:
+    """Mean return over all evaluations: the intervals over seeds are apart."""
+    residual, alone = (finding.arm(arm)[0].curve("return").values.mean(axis=1) for arm in (RESIDUAL, ALONE))
+    low, high = mean_interval(residual)[0], mean_interval(alone)[1]
+    return low > high, f"mean return over training: residual {_said(residual)}, RL alone {_said(alone)}"
+
+
+def ends_above_the_controller(finding: Finding) -> tuple[bool, str]:
+    """The gain in return over the controller, on the same episodes, is above zero by its interval over seeds."""
+    outcome = finding.arm(RESIDUAL)[0]
+    gain = outcome.final("return_gain")
+    controller = outcome.final("controller_return")[0]
+    text = f"final return: residual {_said(outcome.final('return'))}, controller {controller:.2f}, gain {_said(gain)}"
+    return mean_interval(gain)[0] > 0, text
+
+
+def stays_level(finding: Finding) -> tuple[bool, str]:
+    """From the smallest setting to the largest the controller loses return, the residual a third of that at most."""
+    first, last = _ends(finding)
+    lost = {name: float((first.final(name) - last.final(name)).mean()) for name in ("return", "controller_return")}
+    falls = lost["controller_return"] > 0.05 * abs(float(first.final("controller_return").mean()))
+    text = f"return lost from {first.point.value:g} to {last.point.value:g}: residual {lost['return']:.2f}, "
+    text += f"controller {lost['controller_return']:.2f}; {_rates(first, last)}"
+    return falls and lost["return"] <= LEVEL * lost["controller_return"], text
+
+
+def withstands_noise(finding: Finding) -> tuple[bool, str]:
+    """From the smallest noise to the largest the residual loses less than a tenth of its return."""
+    first, last = _ends(finding)
+    before, after = (float(outcome.final("return").mean()) for outcome in (first, last))
+    controller = [float(outcome.final("controller_return").mean()) for outcome in (first, last)]
+    text = f"return at sigma = {first.point.value:g} and {last.point.value:g}: residual {before:.2f} and {after:.2f}, "
+    return before - after < 0.1 * abs(before), f"{text}controller {controller[0]:.2f} and {controller[1]:.2f}"
+
+
+def solves_misaligned(finding: Finding) -> tuple[bool, str]:
+    """At least 15 of 20 by the residual, at most 5 of 20 by the controller."""
+    residual, controller, text = _counts(finding.outcomes[0], "misaligned")
+    return residual >= 15 / 20 and controller <= 5 / 20, text
+
+
+def solves_aligned(finding: Finding) -> tuple[bool, str]:
+    """At least 19.5 of 20 by both."""
+    residual, controller, text = _counts(finding.outcomes[0], "aligned")
+    return min(residual, controller) >= 19.5 / 20, text
+
+
+def success_grows(finding: Finding) -> tuple[bool, str]:
+    """The last evaluation is at 15 of 20 or more, and above the first one by its interval over seeds."""
+    curve = finding.outcomes[0].curve("success")
+    first, last = curve.values[:, 0], curve.values[:, -1]
+    text = f"success at step {curve.steps[0]:.0f}: {first.mean():.0%}, at {curve.steps[-1]:.0f}: {_said(last, 100)} %"
+    return bool(last.mean() >= 15 / 20 and mean_interval(last - first)[0] > 0), text
+
+
+def learns_under_bias(finding: Finding) -> tuple[bool, str]:
+    """At every bias the residual ends at 15 of 20 or more, and not below the controller."""
+    said, holds = [], True
+    for outcome in finding.arm(RESIDUAL):
+        residual, controller = outcome.final("success").mean(), outcome.final("controller_success").mean()
+        said.append(f"mu = {outcome.point.value:g}: residual {residual:.0%}, controller {controller:.0%}")
+        holds &= bool(residual >= 15 / 20 and residual >= controller)
+    return holds, "; ".join(said)
+
+
+def transfers_quickly(finding: Finding) -> tuple[bool, str]:
+    """The mean success over seeds reaches 90 % in fewer than 1000 environment steps."""
+    said = [f"{arm}: {_steps_text(finding.arm(arm)[0])}" for arm in finding.arms]
+    steps = _steps_to_solve(finding.arm(SIM_ARM)[0])
+    return steps is not None and steps < FEW_STEPS, f"steps to {SOLVED:.0%} success: " + "; ".join(said)
+
+
+def explores_wider(finding: Finding) -> tuple[bool, str]:
+    """The summed variance of the positions visited: the intervals over seeds are apart."""
+    residual, alone = (variances(finding.arm(arm)[0]).sum(axis=1) for arm in (RESIDUAL, ALONE))
+    text = f"variance of the positions visited [cm^2]: RL alone {_said(alone)}, residual {_said(residual)}"
+    return mean_interval(alone)[0] > mean_interval(residual)[1], text
+
+
+CLAIMS: Sequence[tuple[str, str, Test]] = (
+    ("1a. In simulation residual RL learns faster than RL alone", "curves-sim", learns_faster),
+    ("1b. In simulation residual RL ends above the controller", "curves-sim", ends_above_the_controller),
+    ("2a. On the real-like task residual RL learns faster than RL alone", "curves-real", learns_faster),
+    ("2b. On the real-like task residual RL ends above the controller", "curves-real", ends_above_the_controller),
+    ("3. Residual RL stays level as the blocks turn, while the controller falls", "rotation", stays_level),
+    ("4. Residual RL stays level as control noise grows", "noise", withstands_noise),
+    ("5. Residual RL stays level as control bias grows, while the controller falls", "bias", stays_level),
+    ("6a. Misaligned: about 15 of 20 with residual RL, about 2 of 20 by the controller", "table", solves_misaligned),
+    ("6b. Aligned: 20 of 20 with residual RL and by the controller", "table", solves_aligned),
+    ("7. Misaligned success grows within 8000 samples", "success-real", success_grows),
+    ("8. Control bias does not stop learning on the real-like task", "bias-real", learns_under_bias),
+    ("9. On a policy from simulation residual RL succeeds in under 1000 steps", "sim-to-real", transfers_quickly),
+    ("10. RL alone visits a wider spread of states", "exploration", explores_wider),
+)
+
+
+def criterion(claim: str) -> str:
+    """How a claim is tested, in one sentence."""
+    test = next(test for words, _, test in CLAIMS if words == claim)
+    return " ".join((test.__doc__ or "").split())
+
+
+def _ends(finding: Finding) -> tuple[Outcome, Outcome]:
+    outcomes = sorted(finding.arm(RESIDUAL), key=lambda outcome: outcome.point.value or 0.0)
+    if len(outcomes) < 2:
+        raise IndexError("at least two settings")
+    return outcomes[0], outcomes[-1]
+
+
+def _rates(first: Outcome, last: Outcome) -> str:
+    rates = [
+        f"{100 * o.final(entry).mean():.0f} %" for entry in ("success", "controller_success") for o in (first, last)
+    ]
+    return f"success: residual {rates[0]} to {rates[1]}, controller {rates[2]} to {rates[3]}"
+
+
+def _counts(outcome: Outcome, scenario: str) -> tuple[float, float, str]:
+    count, rates = outcome.episodes, outcome.final("success", scenario)
+    solved, trials = round(float(rates.sum()) * count), count * len(rates)
+    controller = round(float(outcome.final("controller_success", scenario)[0]) * count)
+    said = []
+    for name, n, of in (("residual", solved, trials), ("controller", controller, count)):
+        low, high = exact_interval(n, of)
+        said.append(f"{name} {n} of {of} [{low:.0%}, {high:.0%}], {20 * n / of:.1f} of 20")
+    return solved / trials, controller / count, "; ".join(said)
+
+
+def _steps_to_solve(outcome: Outcome) -> int | None:
+    curve = outcome.curve("success")
+    solved = np.flatnonzero(curve.mean >= SOLVED)
+    return int(curve.steps[solved[0]]) if len(solved) else None
+
+
+def _steps_text(outcome: Outcome) -> str:
+    steps = _steps_to_solve(outcome)
+    return "not reached" if steps is None else f"{steps}"
+
+
+def _said(values: np.ndarray, unit: float = 1.0) -> str:
+    low, high = mean_interval(values)
+    return f"{values.mean() * unit:.2f} [{low * unit:.2f}, {high * unit:.2f}]"

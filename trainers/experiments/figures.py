@@ -1,0 +1,150 @@
+"""The figures of the experiments, each as PNG and SVG."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ..curves import Curve
+from ..plots import CONTROLLER_COLOUR, RESIDUAL_COLOUR
+from ..statistics import mean_interval
+from .outcomes import Finding, Outcome
+from .spec import Experiment
+from .spread import variances
+from .tables import success_rows
+
+COLOURS = (RESIDUAL_COLOUR, "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#7a6a00", "#4d4d4d", "#8c2d04")
+"""Apart for the colour-blind (after Okabe and Ito), and from the controller's."""
+MARKERS = "osD^vPX*"
+INTERVAL = "mean and 95 % confidence interval (Student's t)"
+PANELS = (("success", "success rate [%]", 100.0), ("return", "return of an episode", 1.0))
+
+
+def draw(experiment: Experiment, finding: Finding, folder: Path) -> Path:
+    """Draw an experiment's figure; returns the PNG, with the SVG beside it."""
+    kinds = {"curves": _curves, "sweep": _sweep, "spread": _spread, "table": _table}
+    figure = kinds[experiment.figure](experiment, finding)
+    folder.mkdir(parents=True, exist_ok=True)
+    out = folder / f"{experiment.name}.png"
+    figure.savefig(out, dpi=150)
+    figure.savefig(out.with_suffix(".svg"))
+    return out
+
+
+def _curves(experiment: Experiment, finding: Finding) -> Figure:
+    figure, axes = _panels(experiment, finding)
+    for axis, (entry, _, unit) in zip(axes, PANELS, strict=False):
+        for i, outcome in enumerate(finding.outcomes):
+            label = _label(experiment, outcome)
+            _band(axis, outcome.curve(entry).scaled(unit), COLOURS[i % len(COLOURS)], label, entry)
+            if outcome.point.arm == finding.arms[0] and (i == 0 or experiment.sweep):
+                controller = outcome.curve(f"controller_{entry}").scaled(unit)
+                colour = COLOURS[i % len(COLOURS)] if experiment.sweep else CONTROLLER_COLOUR
+                said = f"controller alone{label.removeprefix(outcome.point.arm)}"
+                axis.plot(controller.steps, controller.mean, "--", color=colour, lw=1.6, label=said)
+        axis.set_xlabel("environment steps of one seed")
+    _finish(figure, axes, experiment, finding)
+    return figure
+
+
+def _sweep(experiment: Experiment, finding: Finding) -> Figure:
+    assert experiment.sweep is not None
+    figure, axes = _panels(experiment, finding)
+    for axis, (entry, _, unit) in zip(axes, PANELS, strict=False):
+        for i, arm in enumerate(finding.arms):
+            _errors(axis, finding.arm(arm), entry, unit, arm, color=COLOURS[i], marker=MARKERS[i])
+        first = finding.arm(finding.arms[0])
+        look = {"color": CONTROLLER_COLOUR, "marker": "s", "linestyle": "--"}
+        _errors(axis, first, f"controller_{entry}", unit, "controller alone", **look)
+        axis.set_xlabel(experiment.sweep.label)
+        axis.set_ylabel(f"final {axis.get_ylabel()}")
+    _finish(figure, axes, experiment, finding)
+    return figure
+
+
+def _spread(experiment: Experiment, finding: Finding) -> Figure:
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    axis = figure.subplots()
+    width = 0.8 / len(finding.outcomes)
+    for i, outcome in enumerate(finding.outcomes):
+        per_axis = variances(outcome)
+        values = np.column_stack([per_axis, per_axis.sum(axis=1)])  # (S, 4)
+        at = np.arange(values.shape[1]) + (i - (len(finding.outcomes) - 1) / 2) * width
+        low, high = np.array([mean_interval(column) for column in values.T]).T
+        mean = values.mean(axis=0)
+        error = np.array([mean - np.maximum(low, 0.0), high - mean])
+        axis.bar(at, mean, 0.9 * width, yerr=error, capsize=3, color=COLOURS[i], alpha=0.75, label=outcome.point.arm)
+        for row in values:
+            axis.plot(at, row, ".", color="black", ms=4, alpha=0.6)
+    axis.set_xticks(range(4), ["x", "y", "z", "sum"])
+    axis.set_xlabel("direction")
+    axis.set_ylabel("variance of the end effector's positions [cm²]")
+    axis.set_yscale("log")
+    _finish(figure, [axis], experiment, finding)
+    return figure
+
+
+def _table(experiment: Experiment, finding: Finding) -> Figure:
+    header, rows = success_rows(experiment, finding)
+    figure = Figure(figsize=(11.0, 1.1 + 0.4 * len(rows)), layout="constrained")
+    axis = figure.subplots()
+    axis.axis("off")
+    table = axis.table(rows, colLabels=header, loc="center", cellLoc="left", edges="horizontal")
+    table.auto_set_font_size(False)
+    table.set_fontsize(9)
+    table.auto_set_column_width(range(len(header)))
+    table.scale(1, 1.6)
+    figure.suptitle(f"{experiment.title} ({experiment.paper})", fontsize=11)
+    return figure
+
+
+def _panels(experiment: Experiment, finding: Finding) -> tuple[Figure, list[Axes]]:
+    known = [panel for panel in PANELS if finding.outcomes[0].knows(panel[0])]
+    figure = Figure(figsize=(5.6 * len(known), 4.2), layout="constrained")
+    axes = list(np.atleast_1d(figure.subplots(1, len(known))))
+    for axis, (entry, label, _) in zip(axes, known, strict=True):
+        axis.set_ylabel(label)
+        if entry == "success":
+            axis.set_ylim(-3, 103)
+    return figure, axes
+
+
+def _finish(figure: Figure, axes: Sequence[Axes], experiment: Experiment, finding: Finding) -> None:
+    for axis in axes:
+        axis.grid(alpha=0.25)
+        axis.spines[["top", "right"]].set_visible(False)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(3, len(labels)), frameon=False, fontsize=9)
+    counts = sorted({len(outcome.seeds) for outcome in finding.outcomes})
+    seeds = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
+    figure.suptitle(f"{experiment.title} ({experiment.paper}): {seeds} seeds, {INTERVAL}", fontsize=10)
+
+
+def _label(experiment: Experiment, outcome: Outcome) -> str:
+    if experiment.sweep is None:
+        return outcome.point.arm
+    return f"{outcome.point.arm}, {experiment.sweep.key.rpartition('.')[2]} = {outcome.point.value:g}"
+
+
+def _band(axis: Axes, curve: Curve, colour: str, label: str, entry: str) -> None:
+    low, high = curve.band()
+    if entry == "success":  # the t interval of a rate may leave [0, 1]
+        low, high = low.clip(0, 100), high.clip(0, 100)
+    axis.fill_between(curve.steps, low, high, color=colour, alpha=0.18, linewidth=0)
+    axis.plot(curve.steps, curve.mean, color=colour, lw=2, label=label)
+
+
+def _errors(axis: Axes, outcomes: Sequence[Outcome], entry: str, unit: float, label: str, **look: Any) -> None:
+    values = [outcome.final(entry) * unit for outcome in outcomes]
+    mean = np.array([v.mean() for v in values])
+    low, high = np.array([mean_interval(v) for v in values]).T
+    if entry.endswith("success"):
+        low, high = low.clip(0, 100), high.clip(0, 100)
+    at = np.array([outcome.point.value for outcome in outcomes], dtype=float)
+    error = np.maximum(0.0, [mean - low, high - mean])
+    axis.errorbar(at, mean, error, capsize=3, lw=2, ms=5, label=label, **look)

@@ -1,0 +1,98 @@
+"""What the runs of a point came to, its groups of seeds put together again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import metrics
+from ..curves import Curve, curve
+from ..runs import Run
+from .plan import Point
+from .store import Store
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The finished runs of one point.
+
+    Attributes:
+        point: arm, setting, configuration.
+        runs: one for each group of seeds.
+    """
+
+    point: Point
+    runs: tuple[Run, ...]
+
+    @cached_property
+    def seeds(self) -> list[int]:
+        """Seeds that are finished, of those that were asked for."""
+        return sorted(seed for run in self.runs for seed in run.seeds if seed in self.point.seeds)
+
+    @property
+    def followed(self) -> str:
+        """The scenario that was evaluated during training."""
+        return self.runs[0].followed
+
+    @property
+    def scenarios(self) -> list[str]:
+        """Scenarios of the final evaluation."""
+        return list(self.runs[0].results)
+
+    @cached_property
+    def episodes(self) -> int:
+        """Frozen episodes of each scenario in the final evaluation."""
+        return int(self.runs[0].config["trainer"]["evaluation"]["final_episodes"])
+
+    def final(self, entry: str, scenario: str | None = None) -> Floats:
+        """One entry of the final evaluation's summary, by seed ``[S]``."""
+        by_seed = {seed: run.results for run in self.runs for seed in run.seeds}
+        return np.array([by_seed[seed][scenario or self.followed][str(seed)][entry] for seed in self.seeds])
+
+    def knows(self, entry: str) -> bool:
+        """Whether the final evaluation has that entry."""
+        return all(entry in summary for summary in self.runs[0].results[self.followed].values())
+
+    def curve(self, entry: str) -> Curve:
+        """An entry of the evaluations during training and at the end, of the followed scenario."""
+        name = metrics.name(metrics.EVALUATION, self.followed, entry)
+        series = {seed: points for run in self.runs for seed, points in run.record[name].items()}
+        return curve({seed: series[seed] for seed in self.seeds})
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An experiment with what there is of its outcomes, in the order of its arms and settings."""
+
+    name: str
+    outcomes: tuple[Outcome, ...]
+
+    def arm(self, name: str) -> list[Outcome]:
+        """The outcomes of one arm, by setting."""
+        return [outcome for outcome in self.outcomes if outcome.point.arm == name]
+
+    @property
+    def arms(self) -> list[str]:
+        """Names of the arms that have outcomes."""
+        return list(dict.fromkeys(outcome.point.arm for outcome in self.outcomes))
+
+
+Findings = Mapping[str, Finding]
+"""Experiment's name to what was found."""
+
+
+def gather(points: Sequence[Point], store: Store) -> Findings:
+    """Read what is finished; points without a finished run are left out, and so are runs that others start from."""
+    found: dict[str, list[Outcome]] = {}
+    for point in points:
+        outcomes = found.setdefault(point.experiment, [])
+        runs = [run for run in store.runs(point.key) if run.finished and set(run.seeds) & set(point.seeds)]
+        if runs and not point.whole:
+            outcomes.append(Outcome(point, tuple(Run(run.path, run.name) for run in runs)))
+    return {name: Finding(name, tuple(outcomes)) for name, outcomes in found.items()}

@@ -1,0 +1,148 @@
+"""What an experiment is: arms, settings and scales, as its YAML file says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from ..checks import PlainName, explain
+from ..config import Positive
+
+Overrides = tuple[str, ...]
+FOLDER = "experiment"
+DEFAULTS = "reproduce.yaml"
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Sweep(_Section):
+    """One key of the configuration, set to one value after another.
+
+    Attributes:
+        key: the dotted key.
+        label: what it is, with its unit, for an axis.
+        values: by scale.
+    """
+
+    key: str
+    label: str
+    values: dict[str, tuple[float, ...]]
+
+
+class Experiment(_Section):
+    """Arms x settings x seeds, and what is drawn of them.
+
+    Attributes:
+        name: of the file.
+        title: what is shown.
+        paper: where the paper has it.
+        figure: what is drawn: ``curves``, ``sweep``, ``table`` or ``spread``.
+        runs_of: another experiment whose runs these are.
+        overrides: of ``rrl train``, for every run.
+        sources: runs that others start from, by name; an arm's ``key=run:NAME`` becomes the directory of that run.
+        arms: name to overrides.
+        sweep: settings of every arm.
+        scales: further overrides, by scale.
+    """
+
+    name: str
+    title: str
+    paper: str
+    figure: Literal["curves", "sweep", "table", "spread"]
+    runs_of: str | None = None
+    overrides: Overrides = ()
+    sources: dict[PlainName, Overrides] = {}
+    arms: dict[str, Overrides] = {}
+    sweep: Sweep | None = None
+    scales: dict[str, Overrides] = {}
+
+    @model_validator(mode="after")
+    def _check(self) -> Experiment:
+        if bool(self.arms) == bool(self.runs_of):
+            raise ValueError("expected either arms or runs_of")
+        if self.figure == "sweep" and self.sweep is None:
+            raise ValueError("figure: sweep needs a sweep")
+        return self
+
+
+class Scale(_Section):
+    """How much of everything: seeds, stacked seeds at most, overrides."""
+
+    seeds: Positive
+    stack: Positive
+    overrides: Overrides = ()
+
+
+class Settings(_Section):
+    """What ``rrl reproduce`` reads: :file:`configs/reproduce.yaml` and its command line."""
+
+    scale: str
+    launcher: Literal["local", "ray"]
+    workers: Annotated[int, Field(gt=0)] | None
+    out: str
+    overrides: Overrides = ()
+    scales: dict[str, Scale]
+
+    @model_validator(mode="after")
+    def _check(self) -> Settings:
+        if self.scale not in self.scales:
+            raise ValueError(f"scale: expected one of {', '.join(self.scales)}, got {self.scale!r}")
+        return self
+
+
+def load_experiments(names: Sequence[str], folders: Sequence[Path]) -> list[Experiment]:
+    """Read experiments by name; none named: all.
+
+    Args:
+        names: of the files, without ``.yaml``.
+        folders: folders of configurations, the first one that has the file is read.
+
+    Raises:
+        ValueError: an unknown name, or a file that is not an experiment; the message says what was expected.
+    """
+    known: dict[str, Path] = {}
+    for folder in reversed(folders):
+        known |= {path.stem: path for path in sorted((folder / FOLDER).glob("*.yaml"))}
+    if unknown := [name for name in names if name not in known]:
+        raise ValueError(f"unknown experiment {', '.join(unknown)}; choose from {', '.join(sorted(known))}")
+    found = {name: _read(name, known[name]) for name in dict.fromkeys(names or known)}
+    for experiment in list(found.values()):
+        if experiment.runs_of and experiment.runs_of not in known:
+            raise ValueError(f"{experiment.name}: runs_of: unknown experiment {experiment.runs_of!r}")
+    return [_with_runs(e, _read(e.runs_of, known[e.runs_of])) if e.runs_of else e for e in found.values()]
+
+
+def load_settings(folders: Sequence[Path], changes: dict[str, Any]) -> Settings:
+    """Read the command's settings and change some.
+
+    Raises:
+        ValueError: unknown keys or values.
+    """
+    path = next(folder / DEFAULTS for folder in folders if (folder / DEFAULTS).is_file())
+    values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    changeable = [key for key, value in values.items() if not isinstance(value, (list, dict))]
+    if unknown := sorted(set(changes) - set(changeable)):
+        raise ValueError(f"unknown setting {', '.join(unknown)}; expected {', '.join(changeable)}")
+    return _validated(Settings, {**values, **changes}, path.name)
+
+
+def _with_runs(experiment: Experiment, other: Experiment) -> Experiment:
+    shared = ("overrides", "sources", "arms", "sweep", "scales")
+    return experiment.model_copy(update={name: getattr(other, name) for name in shared})
+
+
+def _read(name: str, path: Path) -> Experiment:
+    return _validated(Experiment, {"name": name, **yaml.safe_load(path.read_text(encoding="utf-8"))}, name)
+
+
+def _validated(kind: Any, values: Any, name: str) -> Any:
+    try:
+        return kind.model_validate(values)
+    except ValidationError as error:
+        raise ValueError("\n".join(explain(error, name))) from None

@@ -1,0 +1,86 @@
+"""The experiments' numbers as rows of text."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..statistics import exact_interval, iqm, iqm_interval, mean_interval
+from .outcomes import Finding, Outcome
+from .spec import Experiment
+
+Table = tuple[list[str], list[list[str]]]
+"""Header and rows."""
+
+TRIALS = 20
+"""Of the paper's table; rates are also given as so many of twenty."""
+
+
+def success_rows(experiment: Experiment, finding: Finding) -> Table:
+    """Counts of success by scenario, controller against every arm on the same episodes."""
+    header = ["scenario", "arm", "succeeded (all seeds)", "exact 95 % interval", "of 20", "controller", "of 20"]
+    header += ["rescued / broken", "McNemar's p, by seed"]
+    return header, [
+        _success_row(outcome, scenario)
+        for outcome in finding.outcomes
+        if outcome.knows("success")
+        for scenario in outcome.scenarios
+    ]
+
+
+def final_rows(experiment: Experiment, finding: Finding) -> Table:
+    """Final return and success of every arm at every setting, with mean and interquartile mean over seeds."""
+    setting = [experiment.sweep.key.rpartition(".")[2]] if experiment.sweep else []
+    header = ["arm", *setting, "seeds", "return: mean [95 % CI]", "return: IQM [bootstrap 95 %]", "controller's return"]
+    header += ["success: mean [95 % CI]", "success: IQM [bootstrap 95 %]", "controller's success"]
+    return header, [_final_row(outcome, bool(setting)) for outcome in finding.outcomes]
+
+
+def overall_iqm(outcomes: Sequence[Outcome], entry: str) -> str:
+    """Interquartile mean over seeds and settings, resampled within each setting."""
+    return _iqm([outcome.final(entry) for outcome in outcomes], 100.0 if entry.endswith("success") else 1.0)
+
+
+def _success_row(outcome: Outcome, scenario: str) -> list[str]:
+    count = outcome.episodes
+    rates = outcome.final("success", scenario)
+    solved, trials = round(float(rates.sum()) * count), count * len(rates)
+    controller = round(float(outcome.final("controller_success", scenario)[0]) * count)
+    rescued, broken = (int(outcome.final(entry, scenario).sum()) for entry in ("rescues", "regressions"))
+    return [
+        scenario,
+        outcome.point.arm,
+        f"{solved} of {trials}",
+        _percent(exact_interval(solved, trials)),
+        f"{TRIALS * solved / trials:.1f}",
+        f"{controller} of {count} {_percent(exact_interval(controller, count))}",
+        f"{TRIALS * controller / count:.1f}",
+        f"{rescued} / {broken}",
+        ", ".join(f"{p:.1g}" for p in outcome.final("mcnemar_p", scenario)),
+    ]
+
+
+def _final_row(outcome: Outcome, with_setting: bool) -> list[str]:
+    cells = [outcome.point.arm, *([f"{outcome.point.value:g}"] if with_setting else []), str(len(outcome.seeds))]
+    for entry, unit in (("return", 1.0), ("success", 100.0)):
+        if not outcome.knows(entry):
+            return [*cells, "", "", ""]
+        values = outcome.final(entry)
+        bounds = (0.0, 100.0) if entry == "success" else (-np.inf, np.inf)
+        mean = f"{values.mean() * unit:.2f} {_interval(mean_interval(values), unit, bounds)}"
+        cells += [mean, _iqm([values], unit), f"{outcome.final(f'controller_{entry}').mean() * unit:.2f}"]
+    return cells
+
+
+def _iqm(strata: Sequence[np.ndarray], unit: float) -> str:
+    return f"{iqm(*strata) * unit:.2f} {_interval(iqm_interval(*strata), unit, (-np.inf, np.inf))}"
+
+
+def _interval(interval: tuple[float, float], unit: float, bounds: tuple[float, float]) -> str:
+    low, high = (float(np.clip(end * unit, *bounds)) for end in interval)
+    return f"[{low:.2f}, {high:.2f}]"
+
+
+def _percent(interval: tuple[float, float]) -> str:
+    return f"[{interval[0]:.0%}, {interval[1]:.0%}]"

@@ -1,0 +1,48 @@
+"""A video of an episode that the controller fails and the residual solves, from the runs of an experiment."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from ..runs import Run
+from .launchers import spawn
+from .outcomes import Findings
+
+EPISODES = 25
+"""Of the frozen ones, searched for such an episode."""
+
+
+def rescue_video(findings: Findings, console: Console) -> Path | None:
+    """The video of the run with the most rescued episodes; made by ``rrl render`` if it is not there.
+
+    Returns:
+        None if no run has rescued an episode, or the machine cannot render.
+    """
+    best = _most_rescues(findings)
+    if best is None:
+        return None
+    run, k = best
+    if not run.videos:
+        console.print(f"rendering an episode of {run.label}", highlight=False, soft_wrap=True)
+        command = ["render", f"run={run.path}", "render.enabled=true", f"render.seed={k}"]
+        spawn([*command, f"trainer.evaluation.final_episodes={EPISODES}"], run.path / "render.txt").wait()
+    if not run.videos:
+        console.print(f"no video: see {run.path / 'render.txt'}", style="yellow", highlight=False, soft_wrap=True)
+        return None
+    return run.videos[0]
+
+
+def _most_rescues(findings: Findings) -> tuple[Run, int] | None:
+    """A run and the place of a seed in its stack."""
+    best, most = None, 0.0
+    for finding in findings.values():
+        for outcome in finding.outcomes:
+            for run in outcome.runs if outcome.knows("rescues") else ():
+                scenario = run.results[run.followed]
+                rescues = [scenario[str(seed)]["rescues"] for seed in run.seeds]
+                if run.config["env"].get("renderer") and max(rescues) > most:
+                    best, most = (run, int(np.argmax(rescues))), max(rescues)
+    return best
