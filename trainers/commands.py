@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,14 @@ from .layout import CONFIG_FILE, METRICS, REPORT, VIDEOS
 from .plots import learning_curve
 from .progress import Progress
 from .report import write_report
-from .runs import find_runs, write_versions
-from .summary import Results, terminal_table, write_results
+from .runs import find_runs
+from .summary import COLUMNS, EPISODE_COLUMNS, Results, episode_rows, rows, terminal_table, write_results
 from .trainer import Trainer
+from .versions import write_versions
 from .video import choose_episode, render_comparison
+
+VIDEO, VIDEO_FILES = "video", (".mp4", ".gif")
+MEDIA = (".png", *VIDEO_FILES)
 
 
 def train(config: assembly.Config, run_dir: Path, console: Console, *, resume: bool) -> None:
@@ -71,10 +76,17 @@ def _report(config: assembly.Config, trainer: Trainer, results: Results, console
     written.append(write_report(find_runs([run_dir]), run_dir / REPORT))
     for path in written:
         console.print(f"  {path}", highlight=False, soft_wrap=True)
-    for path in written:
-        if path.suffix in (".png", ".mp4"):
-            for logger in trainer.loggers:
-                logger.log_file(f"media/{path.stem}", path, trainer.env_steps)
+    _log_results(trainer, results, [path for path in written if path.suffix in MEDIA])
+
+
+def _log_results(trainer: Trainer, results: Results, media: Sequence[Path]) -> None:
+    """Give the loggers what a metric cannot say: pictures, videos, the table and every paired episode."""
+    seeds, steps = trainer.settings.seeds, trainer.env_steps
+    for logger in trainer.loggers:
+        for path in media:
+            logger.log_file(f"media/{VIDEO if path.suffix in VIDEO_FILES else path.stem}", path, steps)
+        logger.log_table("results/success", COLUMNS, rows(results, seeds), steps)
+        logger.log_table("results/episodes", EPISODE_COLUMNS, episode_rows(results, seeds), steps)
 
 
 def evaluate(config: assembly.Config, run_dir: Path, console: Console) -> None:

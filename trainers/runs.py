@@ -7,20 +7,16 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import metadata
 from pathlib import Path
-from platform import platform, python_version
 from typing import Any
 
 import yaml
 
 from . import metrics
 from .curves import Curve, Series, curve
-from .files import write_atomically
 from .layout import CONFIG_FILE, METRICS, RESULTS, VERSIONS, VIDEOS
 from .loggers import read_metrics
 
-PACKAGES = ("rrl", "torch", "torchrl", "tensordict", "mujoco", "dm-control", "gymnasium", "numpy")
 Summaries = Mapping[str, Mapping[str, Mapping[str, float]]]
 """Scenario, seed, entry of a comparison's summary."""
 
@@ -106,22 +102,6 @@ def find_runs(paths: Sequence[Path]) -> list[Run]:
         found += below
     found = list(dict.fromkeys(p.resolve() for p in found))
     return [Run(path, label) for path, label in zip(found, _labels(found), strict=True)]
-
-
-def versions() -> dict[str, str]:
-    """Versions of Python, of the platform and of the packages that decide what a run computes."""
-    found = {"python": python_version(), "platform": platform()}
-    for package in PACKAGES:
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            continue
-    return found
-
-
-def write_versions(run_dir: Path) -> None:
-    """Write ``versions.json``; a resumed run keeps the newest."""
-    write_atomically(run_dir / VERSIONS, json.dumps(versions(), indent=2) + "\n")
 
 
 def _below(folder: Path) -> list[Path]:

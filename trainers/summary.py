@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from rich.table import Table
@@ -26,6 +26,26 @@ COLUMNS = (
     "rescued",
     "broken",
 )
+
+EPISODE_COLUMNS = (
+    "scenario",
+    "seed",
+    "episode",
+    "outcome",
+    "controller_success",
+    "residual_success",
+    "controller_return",
+    "residual_return",
+    "controller_contact_force",
+    "residual_contact_force",
+)
+OUTCOMES: Mapping[tuple[bool | None, ...], str] = {
+    (False, True): "rescued",
+    (True, False): "broken",
+    (True, True): "both",
+    (False, False): "neither",
+}
+"""What became of an episode, by the controller's and the residual's success."""
 
 
 def rows(results: Results, seeds: Sequence[int]) -> list[list[str]]:
@@ -55,6 +75,24 @@ def cells(summaries: Sequence[Mapping[str, float]]) -> list[str]:
         f"{np.mean([s['rescues'] for s in summaries]):.1f}",
         f"{np.mean([s['regressions'] for s in summaries]):.1f}",
     ]
+
+
+def episode_rows(results: Results, seeds: Sequence[int]) -> list[list[Any]]:
+    """One row per scenario, seed and episode, for ``EPISODE_COLUMNS``; None where the environment does not say."""
+    return [
+        [scenario, seed, episode, *cells_of_episode]
+        for scenario, comparisons in results.items()
+        for seed, comparison in zip(seeds, comparisons, strict=True)
+        for episode, cells_of_episode in enumerate(_episodes(comparison))
+    ]
+
+
+def _episodes(comparison: Comparison) -> Iterator[list[Any]]:
+    pair = comparison.controller, comparison.residual
+    for i in range(len(comparison.residual.returns)):
+        solved = [None if e.success is None else bool(e.success[i]) for e in pair]
+        forces = [float(e.peaks["contact_force"][i]) if "contact_force" in e.peaks else None for e in pair]
+        yield [OUTCOMES.get(tuple(solved)), *solved, *(float(e.returns[i]) for e in pair), *forces]
 
 
 def _mean_text(values: Sequence[float], form: str, bounds: tuple[float, float]) -> str:

@@ -4,10 +4,13 @@ import json
 import os
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+import wandb_file
 
 SMALL = [
     "trainer.total_steps=100",
@@ -64,6 +67,61 @@ def test_training_leaves_table_curve_metrics_and_checkpoints(trained):
     assert set(results) == {"misaligned", "aligned"}
     assert set(results["aligned"]) == {"0", "1"}
     assert not result.stderr.strip(), result.stderr
+
+
+def test_weights_and_biases_hold_the_whole_run(trained):
+    """Read from the offline run's own files: what the server would be sent."""
+    run_dir, _ = trained
+    run = wandb_file.read(next(run_dir.glob("wandb/offline-run-*")))
+    assert (run.run.project, run.run.run_group, run.run.job_type) == ("rrl", "insertion-real", "residual")
+    assert list(run.run.tags) == ["insertion-real", "residual"]
+    assert run.run.display_name == "insertion-real-residual"
+    assert run.config["trainer"]["num_seeds"] == 2
+    assert run.config["versions"]["torchrl"] == version("torchrl")
+    assert [(m.glob_name, m.step_metric) for m in run.metrics if m.step_metric] == [("*", "env_steps")]
+    assert all("env_steps" in row for row in run.history)
+    for name in (
+        "action/residual_share",
+        "action/clip_fraction",
+        "eval/misaligned/peak_contact_force",
+        "eval/misaligned/rescues",
+        "eval/misaligned/regressions",
+        "loss/loss_critic",
+    ):
+        steps = [row["env_steps"] for row in run.rows(name)]
+        assert steps == sorted(steps), name
+        assert steps[-1] == 100, name
+        seeds = [[row[f"seed_{k}/{name}"] for k in (0, 1)] for row in run.rows(name)]
+        assert [row[name] for row in run.rows(name)] == pytest.approx([sum(pair) / 2 for pair in seeds]), name
+    sections = {name.split("/")[0] for row in run.history for name in row if not name.startswith("_")}
+    assert sections == {
+        "env_steps", "train", "action", "loss", "eval", "time", "media", "results", "seed_0", "seed_1"
+    }  # fmt: skip
+
+
+def test_weights_and_biases_hold_videos_and_tables(trained):
+    run_dir, _ = trained
+    run = wandb_file.read(next(run_dir.glob("wandb/offline-run-*")))
+    for name, kind in (
+        ("media/video", "video-file"),
+        ("media/learning_curve", "image-file"),
+        ("results/success", "table-file"),
+        ("results/episodes", "table-file"),
+    ):
+        (row,) = run.rows(f"{name}/_type")
+        assert row[f"{name}/_type"] == kind
+        assert (run.folder / "files" / row[f"{name}/path"]).stat().st_size > 0
+    (row,) = run.rows("results/episodes/path")
+    table = json.loads((run.folder / "files" / row["results/episodes/path"]).read_text())
+    assert len(table["data"]) == 2 * 2 * 3  # scenarios, seeds, episodes
+    episodes = [dict(zip(table["columns"], row, strict=True)) for row in table["data"]]
+    results = json.loads((run_dir / "results.json").read_text())
+    for scenario, seeds in results.items():
+        for seed, summary in seeds.items():
+            chosen = [e for e in episodes if (e["scenario"], str(e["seed"])) == (scenario, seed)]
+            assert sum(e["outcome"] == "rescued" for e in chosen) == summary["rescues"]
+            assert sum(e["outcome"] == "broken" for e in chosen) == summary["regressions"]
+            assert sum(e["residual_return"] for e in chosen) / 3 == pytest.approx(summary["return"])
 
 
 def test_evaluate_repeats_the_final_evaluation(trained):

@@ -13,8 +13,9 @@ from rrl.trainers.curves import curve
 from rrl.trainers.evaluation import Comparison, Episodes
 from rrl.trainers.loggers import CSVLogger
 from rrl.trainers.report import write_report
-from rrl.trainers.runs import find_runs, write_versions
+from rrl.trainers.runs import find_runs
 from rrl.trainers.summary import write_results
+from rrl.trainers.versions import write_versions
 
 EPISODES = 20
 STEPS = range(0, 1001, 50)

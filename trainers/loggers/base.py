@@ -1,0 +1,115 @@
+"""What every logger is: a sink for metrics, media and tables, whose failure does not stop a run."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..metrics import Values
+
+_log = logging.getLogger(__name__)
+
+Rows = Sequence[Sequence[Any]]
+"""Rows of a table: text, numbers, booleans or None."""
+
+
+class MetricsLogger(ABC):
+    """A sink for metrics and media.
+
+    ``start`` is called once with the run's directory, its configuration and the environment step from which the run
+    goes on (0 for a new run); after it ``log`` is called with increasing steps.
+    """
+
+    @abstractmethod
+    def start(self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int) -> None:
+        """Open the sink; forget what was logged after ``env_steps``."""
+
+    @abstractmethod
+    def log(self, values: Values, env_steps: int) -> None:
+        """Record one value per seed for every metric."""
+
+    def log_file(self, name: str, path: Path, env_steps: int) -> None:  # noqa: B027 - not every sink shows media
+        """Record a picture (``.png``) or a video (``.mp4``, ``.gif``)."""
+
+    def log_table(self, name: str, columns: Sequence[str], rows: Rows, env_steps: int) -> None:  # noqa: B027 - nor tables
+        """Record a table."""
+
+    def flush(self) -> None:  # noqa: B027 - not every sink holds anything back
+        """Put on disk what was logged; called before every checkpoint."""
+
+    def finish(self) -> None:  # noqa: B027 - not every sink needs closing
+        """Flush and close."""
+
+
+class Guarded(MetricsLogger):
+    """A logger whose failure is said once and does not stop the run.
+
+    Args:
+        logger: the logger; left alone after its first error.
+    """
+
+    def __init__(self, logger: MetricsLogger) -> None:
+        self.logger = logger
+        self._state: str = "idle"
+
+    def start(self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int) -> None:
+        """Open the sink."""
+        self._state = "running"
+        self._try("start", run_dir, config, seeds, env_steps)
+
+    def log(self, values: Values, env_steps: int) -> None:
+        """Record metrics."""
+        self._try("log", values, env_steps)
+
+    def log_file(self, name: str, path: Path, env_steps: int) -> None:
+        """Record a picture or a video."""
+        self._try("log_file", name, path, env_steps)
+
+    def log_table(self, name: str, columns: Sequence[str], rows: Rows, env_steps: int) -> None:
+        """Record a table."""
+        self._try("log_table", name, columns, rows, env_steps)
+
+    def flush(self) -> None:
+        """Put on disk what was logged."""
+        self._try("flush")
+
+    def finish(self) -> None:
+        """Close a sink that was opened; one that is broken may fail silently."""
+        if self._state == "broken":
+            with contextlib.suppress(Exception):
+                self.logger.finish()
+        self._try("finish")
+        self._state = "idle"
+
+    def _try(self, method: str, *arguments: Any) -> None:
+        if self._state != "running":
+            return
+        try:
+            getattr(self.logger, method)(*arguments)
+        except Exception as error:  # whatever a sink or its network can come up with
+            self._state = "broken"
+            _log.warning(
+                "%s failed (%s: %s); training goes on without it",
+                type(self.logger).__name__,
+                type(error).__name__,
+                error,
+            )
+
+
+def flatten(values: Values, seeds: Sequence[int]) -> dict[str, float]:
+    """One scalar per metric: the mean over seeds; for a stack each seed beside it, as ``seed_<n>/<metric>``.
+
+    Dashboards make a section of every first part of a name: the means stay together, and so does each seed.
+    """
+    out = {}
+    for metric, per_seed in values.items():
+        out[metric] = float(np.mean(per_seed))
+        if len(seeds) > 1:
+            out |= {f"seed_{s}/{metric}": float(v) for s, v in zip(seeds, per_seed, strict=True)}
+    return out

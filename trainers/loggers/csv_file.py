@@ -1,0 +1,69 @@
+"""A tidy CSV file."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TextIO
+
+from ..layout import METRICS
+from ..metrics import STEP_AXIS, Values
+from .base import MetricsLogger
+
+
+class CSVLogger(MetricsLogger):
+    """``metrics.csv`` with columns ``env_steps, seed, metric, value``: the run's own record, read by the plots."""
+
+    FILE = METRICS
+
+    def start(self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int) -> None:
+        """Open the file; a resumed run keeps the rows up to ``env_steps``."""
+        path = run_dir / self.FILE
+        self.seeds = seeds
+        rows = _rows_until(path, env_steps) if env_steps else []
+        partial = path.with_suffix(".partial")
+        with partial.open("w", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow([STEP_AXIS, "seed", "metric", "value"])
+            writer.writerows(rows)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+        self.file: TextIO = path.open("a", newline="")
+        self.writer = csv.writer(self.file)
+
+    def log(self, values: Values, env_steps: int) -> None:
+        """Append one row per seed and metric, and hand them to the operating system at once."""
+        for metric, per_seed in values.items():
+            for seed, value in zip(self.seeds, per_seed, strict=True):
+                self.writer.writerow([env_steps, seed, metric, repr(float(value))])
+        self.file.flush()
+
+    def flush(self) -> None:
+        """Have the disk hold all rows."""
+        os.fsync(self.file.fileno())
+
+    def finish(self) -> None:
+        """Close the file."""
+        self.file.close()
+
+
+def read_metrics(run_dir: Path) -> dict[str, dict[int, list[tuple[int, float]]]]:
+    """Read a run's ``metrics.csv``: metric, then seed, then ``(env_steps, value)`` in order."""
+    out: dict[str, dict[int, list[tuple[int, float]]]] = {}
+    with (run_dir / CSVLogger.FILE).open(newline="") as file:
+        for row in csv.DictReader(file):
+            series = out.setdefault(row["metric"], {}).setdefault(int(row["seed"]), [])
+            series.append((int(row[STEP_AXIS]), float(row["value"])))
+    return out
+
+
+def _rows_until(path: Path, env_steps: int) -> list[list[str]]:
+    """Whole rows up to ``env_steps``; a row torn by a crash is dropped."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        rows = [row for row in csv.reader(file) if len(row) == 4 and row[0].isdigit()]
+    return [row for row in rows if int(row[0]) <= env_steps]
