@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from plotly.subplots import make_subplots
 
 from . import metrics
 from .curves import Curve, Floats
+from .panels import Panel
 from .runs import Run
 
 COLOURS = ("#2f7fc1", "#d9622b", "#3a9d6a", "#9467bd", "#c59a1a", "#c2508b", "#4fa3a5", "#8c6d5a")
@@ -22,25 +22,6 @@ COLUMNS = 2
 ROW_HEIGHT = 330
 MAX_POINTS = 120
 """Of one line; longer records are averaged in blocks."""
-
-
-@dataclass(frozen=True)
-class Panel:
-    """One small chart.
-
-    Attributes:
-        metric: the metric's name, with ``{followed}`` for the scenario evaluated during training.
-        title: what it shows, with its unit.
-        unit: factor from the logged value to the drawn one.
-        bounds: the values possible; an interval does not leave them.
-        controller: metric of the controller alone on the same episodes, drawn dashed.
-    """
-
-    metric: str
-    title: str
-    unit: float = 1.0
-    bounds: tuple[float, float] = (-np.inf, np.inf)
-    controller: str = ""
 
 
 def curves(runs: Sequence[Run], panels: Sequence[Panel]) -> go.Figure | None:

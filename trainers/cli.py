@@ -28,6 +28,7 @@ USAGE = """usage: rrl COMMAND [key=value ...]
   rrl evaluate run=RUN [key=value ...]  evaluate a run's newest checkpoint on frozen episodes
   rrl render run=RUN [key=value ...]    write a video of controller and residual on one episode
   rrl report RUN... [out=FILE]          write one interactive page about a run, or about several side by side
+  rrl dashboard entity=USER [project=P] lay out the W&B workspace (extra rrl[dashboard], after wandb login)
   rrl reproduce [NAME ...] [key=value]  make the paper's experiments again, all or those named (configs/experiment/);
                                         scale=quick|paper launcher=local|ray workers=N out=FOLDER
   rrl new NAME                          make a folder with environment, controller and configuration of your own
@@ -40,7 +41,7 @@ SIGTERM and Ctrl-C finish the round, save and print how to go on; the second one
 Exit status: 0 done, 2 an error (one message on stderr), 130 or 143 stopped by Ctrl-C or SIGTERM.
 """
 
-COMMANDS = ("train", "evaluate", "render", "report", "reproduce", "new")
+COMMANDS = ("train", "evaluate", "render", "report", "dashboard", "reproduce", "new")
 USER_CONFIGS = "configs"
 """Folder in the working directory whose groups are added to ours."""
 
@@ -96,6 +97,15 @@ def _report(arguments: list[str]) -> None:
     print(f"  {write_report(runs, out)}")
 
 
+def _dashboard(arguments: list[str]) -> None:
+    from .dashboard import build
+
+    named = dict(a.split("=", 1) for a in arguments if "=" in a)
+    if "entity" not in named or not named.keys() <= {"entity", "project"} or len(named) != len(arguments):
+        raise ValueError(f"expected your W&B user or team, rrl dashboard entity=USER [project=rrl], got {arguments}")
+    print(f"  {build(**named).save().url}")
+
+
 def _reproduce(arguments: list[str]) -> None:
     _quieten()
     from .experiments.reproduce import reproduce
@@ -120,6 +130,7 @@ def _compose(folders: Sequence[Path], overrides: Sequence[str]) -> dict[str, Any
 WITHOUT_CONFIGURATION: dict[str, Callable[[list[str]], None]] = {
     "new": _new,
     "report": _report,
+    "dashboard": _dashboard,
     "reproduce": _reproduce,
 }
 

@@ -10,43 +10,15 @@ from typing import Any
 import yaml
 
 from . import charts, metrics
-from .charts import Panel
 from .identity import leaves
 from .page import Page
+from .panels import CHANGES, CONTACT, FOLLOWED, LEARNING, RATE, SHARES, Panel
 from .runs import Run
 from .summary import COLUMNS, cells
 
-RATE = (0.0, 1.0)
 MAX_TITLE = 80
 MAX_VIDEO_BYTES = 20_000_000
 """A page of all videos larger than this could not be mailed; the rest stay in the run's directory."""
-
-LEARNING = (
-    Panel("eval/{followed}/success", "success rate [%]", 100.0, RATE, "eval/{followed}/controller_success"),
-    Panel("eval/{followed}/return", "return of an episode", controller="eval/{followed}/controller_return"),
-)
-CHANGES = (
-    Panel("eval/{followed}/rescue_rate", "rescued: only the residual solves them [%]", 100.0, RATE),
-    Panel("eval/{followed}/regression_rate", "broken: only the controller solves them [%]", 100.0, RATE),
-)
-SHARES = (
-    Panel("action/residual_share", "residual's share of the action [%]", 100.0, RATE),
-    Panel("action/residual_rms", "residual, root mean square [action units]"),
-    Panel("action/clip_fraction", "components clipped at the action's bounds [%]", 100.0, RATE),
-)
-CONTACT = (
-    Panel(
-        "eval/{followed}/peak_contact_force",
-        "largest contact force of an episode [N]",
-        controller="eval/{followed}/controller_peak_contact_force",
-    ),
-    Panel(
-        "eval/{followed}/peak_tilt",
-        "largest tilt of an episode [rad]",
-        controller="eval/{followed}/controller_peak_tilt",
-    ),
-    Panel("eval/{followed}/episode_length", "control steps of an episode"),
-)
 
 QUANTITIES = {
     "return": "return of an episode",
@@ -145,7 +117,7 @@ def _curves(page: Page, runs: Sequence[Run]) -> None:
         ("Contact", CONTACT, f"Means over the evaluation's episodes, scenario {followed}."),
         ("Experience", _panels(runs, metrics.TRAIN), "What the exploring policy meets, per collection."),
         ("Losses", _panels(runs, metrics.LOSS), "Means over the updates of a round."),
-        ("Safety limits", _panels(runs, metrics.SAFETY, 100.0, RATE), "Steps in which a limit changed the action [%]."),
+        ("Safety limits", _safety(runs), "Steps in which a limit changed the action."),
     )
     missing = []
     for title, panels, caption in sections:
@@ -159,10 +131,16 @@ def _curves(page: Page, runs: Sequence[Run]) -> None:
         page.text(f"Nothing was logged for: {', '.join(missing)}.")
 
 
-def _panels(runs: Sequence[Run], group: str, *of_panel: Any) -> list[Panel]:
+def _panels(runs: Sequence[Run], group: str) -> list[Panel]:
     """A panel for every metric of a group."""
     names = dict.fromkeys(name for run in runs for name in run.metrics_of(group))
-    return [Panel(name, name.partition("/")[2].replace("/", ": ").replace("_", " "), *of_panel) for name in names]
+    return [Panel(name, name.partition("/")[2].replace("/", ": ").replace("_", " ")) for name in names]
+
+
+def _safety(runs: Sequence[Run]) -> list[Panel]:
+    limits = dict.fromkeys(name.partition("/")[2] for run in runs for name in run.metrics_of(metrics.SAFETY))
+    kinds = (("training", f"{metrics.SAFETY}/"), ("evaluation", f"{metrics.EVALUATION}/{FOLLOWED}/{metrics.SAFETY}_"))
+    return [Panel(prefix + limit, f"{limit}, {kind} [%]", 100.0, RATE) for limit in limits for kind, prefix in kinds]
 
 
 def _time(page: Page, runs: Sequence[Run]) -> None:
