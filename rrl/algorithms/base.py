@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
@@ -19,7 +20,7 @@ from rrl.keys import ACTION
 from rrl.networks import StackedMLP
 from rrl.random import SlotGenerators
 
-__all__ = ["Agent", "check_hyperparameters"]
+__all__ = ["Agent", "check"]
 
 LOSS_FUNCTIONS = ("l1", "l2", "smooth_l1")
 
@@ -30,24 +31,38 @@ Step = Callable[..., dict[str, Tensor]]
 class Agent(nn.Module, ABC):
     """``S`` independent learners: an actor, critics, a TorchRL loss with ``reduction="none"``, target networks.
 
-    A subclass makes its networks with :meth:`make_actor` and :meth:`make_critics`, hands its loss to
-    :meth:`learn_from`, and implements :meth:`value_loss` and :meth:`actor_loss`. Losses come as ``[S, B]``; their mean
-    over ``B`` is summed over the seeds, which leaves the seeds' gradients apart. Random numbers of the losses are drawn
-    outside (:meth:`prepare`), from one generator a seed, and enter as data.
+    A subclass names the :attr:`stream` of its random numbers, makes its networks with :meth:`make_actor` and
+    :meth:`make_critics`, hands its loss to :meth:`learn_from`, and implements :meth:`value_loss` and
+    :meth:`actor_loss`. Losses come as ``[S, B]``; their mean over ``B`` is summed over the seeds, which leaves the
+    seeds' gradients apart. Random numbers of the losses are drawn outside (:meth:`prepare`), from one generator a
+    seed, and enter as data.
 
     Args:
         input_sizes: size of each observation entry that actor and critics read, by key.
         action_size: size of the action; the policy's action lies in [-1, 1].
         num_seeds: how many independent learners are stacked.
         seed: learner ``k`` is the learner that ``seed + k`` alone would give.
-        noise: name of the stream of the losses' random numbers.
-        reward_scale: factor on the stored reward before the critics see it.
+        hidden: widths of the hidden layers, of actor and critics.
+        layer_norm: normalise the critics' hidden layers.
+        last_layer_bound: the actor's output layer is drawn from ``U(-bound, bound)``; 0 makes an untrained residual
+            exactly zero.
+        actor_lr, critic_lr: learning rates of Adam.
+        gamma: discount.
+        tau: share by which the targets follow.
         policy_delay: critic updates per update of policy and targets.
         critic_burn_in: updates at the start in which the critics learn and the policy waits.
+        loss_function: the critics' loss, ``"l2"``, ``"l1"`` or ``"smooth_l1"``.
+        reward_scale: factor on the stored reward before the critics see it.
+        compiled: compile the whole update into one graph.
+
+    Raises:
+        ValueError: a hyperparameter out of its range.
 
     """
 
+    stream: str
     loss: LossModule
+    __signature__: ClassVar[inspect.Signature]
     _actor: StackedMLP
     _actor_arguments: dict[str, Any]
 
@@ -56,51 +71,69 @@ class Agent(nn.Module, ABC):
         input_sizes: dict[str, int],
         action_size: int,
         *,
-        num_seeds: int,
-        seed: int,
-        noise: str,
-        reward_scale: float,
-        policy_delay: int,
-        critic_burn_in: int,
+        num_seeds: int = 1,
+        seed: int = 0,
+        hidden: Sequence[int] = (256, 256),
+        layer_norm: bool = False,
+        last_layer_bound: float = 0.0,
+        actor_lr: float = 1e-3,
+        critic_lr: float = 1e-3,
+        gamma: float = 0.99,
+        tau: float = 0.005,
+        policy_delay: int = 1,
+        critic_burn_in: int = 0,
+        loss_function: str = "l2",
+        reward_scale: float = 1.0,
+        compiled: bool = False,
     ) -> None:
         super().__init__()
-        if policy_delay < 1:
-            raise ValueError(f"policy_delay: expected at least 1 update, got {policy_delay}")
-        if critic_burn_in < 0:
-            raise ValueError(f"critic_burn_in: expected 0 updates or more, got {critic_burn_in}")
+        check("gamma", gamma, "a discount in [0, 1)", 0 <= gamma < 1)
+        check("tau", tau, "a share in (0, 1]", 0 < tau <= 1)
+        check("policy_delay", policy_delay, "at least 1 update", policy_delay >= 1)
+        check("critic_burn_in", critic_burn_in, "0 updates or more", critic_burn_in >= 0)
+        check("loss_function", loss_function, " or ".join(LOSS_FUNCTIONS), loss_function in LOSS_FUNCTIONS)
         self.input_keys = list(input_sizes)
-        self.action_size = action_size
-        self.num_seeds, self.seed = num_seeds, seed
-        self.reward_scale = reward_scale
+        self.action_size, self.num_seeds, self.seed = action_size, num_seeds, seed
+        self.hidden, self.layer_norm, self.last_layer_bound = hidden, layer_norm, last_layer_bound
+        self.actor_lr, self.critic_lr = actor_lr, critic_lr
+        self.gamma, self.tau, self.loss_function, self.reward_scale = gamma, tau, loss_function, reward_scale
         self.policy_delay, self.critic_burn_in = policy_delay, critic_burn_in
+        self.compiled = compiled
         self.num_updates = 0
         self._in_size = sum(input_sizes.values())
         self._generators = [torch.Generator().manual_seed(seed + k) for k in range(num_seeds)]
-        self._noise = SlotGenerators(seed, num_seeds, stream=noise)
+        self._noise = SlotGenerators(seed, num_seeds, stream=self.stream)
+
+    def __init_subclass__(cls, **arguments: Any) -> None:
+        """Show in the signature what ``**hyperparameters`` passes on; checks of a configuration read it."""
+        super().__init_subclass__(**arguments)
+        base, own = (inspect.signature(kind.__init__).parameters for kind in (Agent, cls))
+        shown = [p for p in {**base, **own}.values() if p.kind is not p.VAR_KEYWORD]
+        cls.__signature__ = inspect.Signature(shown[1:])  # without self
 
     # ---------------------------------------------------------------- construction
 
-    def make_actor(self, out_features: int, hidden: Sequence[int], last_layer_bound: float, squash: bool) -> StackedMLP:
+    def make_actor(self, out_features: int, squash: bool) -> StackedMLP:
         """Make the actor network; weights are drawn from the seeds' generators, actor before critics."""
         self._actor_arguments = {
             "in_features": self._in_size,
             "out_features": out_features,
-            "hidden": list(hidden),
-            "last_layer_bound": last_layer_bound,
+            "hidden": list(self.hidden),
+            "last_layer_bound": self.last_layer_bound,
             "squash": squash,
         }
         self._actor = StackedMLP(self.num_seeds, generators=self._generators, **self._actor_arguments)
         return self._actor
 
-    def make_critics(self, count: int, hidden: Sequence[int], layer_norm: bool) -> list[TensorDictModule]:
+    def make_critics(self, count: int) -> list[TensorDictModule]:
         """Make critics from the input keys and the action to ``state_action_value`` [S, B, 1]."""
         networks = [
             StackedMLP(
                 self.num_seeds,
                 self._in_size + self.action_size,
                 1,
-                list(hidden),
-                layer_norm=layer_norm,
+                list(self.hidden),
+                layer_norm=self.layer_norm,
                 generators=self._generators,
             )
             for _ in range(count)
@@ -108,31 +141,17 @@ class Agent(nn.Module, ABC):
         keys = [*self.input_keys, ACTION]
         return [TensorDictModule(n, in_keys=keys, out_keys=["state_action_value"]) for n in networks]
 
-    def learn_from(
-        self,
-        loss: LossModule,
-        critic_params: TensorDictBase,
-        actor_params: TensorDictBase,
-        *,
-        gamma: float,
-        tau: float,
-        actor_lr: float,
-        critic_lr: float,
-        compiled: bool,
-    ) -> None:
+    def learn_from(self, loss: LossModule, critic_params: TensorDictBase, actor_params: TensorDictBase) -> None:
         """Take over the loss, and make optimisers and targets for it."""
-        if loss.loss_function not in LOSS_FUNCTIONS:
-            raise ValueError(f"loss_function: expected {' or '.join(LOSS_FUNCTIONS)}, got {loss.loss_function!r}")
         self.loss = loss
-        self.gamma = gamma
-        self.loss.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
-        self.soft_update = SoftUpdate(self.loss, tau=tau)
+        self.loss.make_value_estimator(ValueEstimators.TD0, gamma=self.gamma)
+        self.soft_update = SoftUpdate(self.loss, tau=self.tau)
         self._critic_params = list(critic_params.values(True, True))
         self._actor_params = list(actor_params.values(True, True))
-        self.critic_optimizer = Adam(self._critic_params, critic_lr)
-        self.actor_optimizer = Adam(self._actor_params, actor_lr)
+        self.critic_optimizer = Adam(self._critic_params, self.critic_lr)
+        self.actor_optimizer = Adam(self._actor_params, self.actor_lr)
         steps = self._critic_step, self._critic_and_target_step, self._critic_and_policy_step
-        self._steps: Sequence[Step] = [compile_update(step) for step in steps] if compiled else steps
+        self._steps: Sequence[Step] = [compile_update(step) for step in steps] if self.compiled else steps
 
     def start_from(self, other: Agent, k: int) -> None:
         """Take the networks of learner ``k`` of ``other`` as every learner's initial weights; optimisers stay fresh.
@@ -265,9 +284,7 @@ class Agent(nn.Module, ABC):
         self._noise.load_state_dict(state["noise"])
 
 
-def check_hyperparameters(gamma: float, tau: float) -> None:
-    """Raise a ValueError that names a discount or a target's share out of range."""
-    if not 0 <= gamma < 1:
-        raise ValueError(f"gamma: expected a discount in [0, 1), got {gamma}")
-    if not 0 < tau <= 1:
-        raise ValueError(f"tau: expected a share in (0, 1], got {tau}")
+def check(name: str, value: object, expected: str, fine: bool) -> None:
+    """Raise a ValueError that names a hyperparameter, unless it is fine."""
+    if not fine:
+        raise ValueError(f"{name}: expected {expected}, got {value!r}")
