@@ -9,7 +9,7 @@ import yaml
 
 from ..layout import REPORT
 from ..page import Page
-from ..runs import versions
+from ..versions import versions
 from .claims import Verdict, criterion
 from .outcomes import Finding, Findings
 from .pool import Ending, tail

@@ -1,0 +1,59 @@
+"""A small project with a fast environment and one experiment, for the tests of `rrl reproduce`."""
+
+from pathlib import Path
+
+import yaml
+
+OURS = Path(__file__).parents[1] / "configs"
+TESTS = Path(__file__).parent
+
+ENVIRONMENT = """
+import os
+from toy_envs import RememberingPointMass
+
+def make(num_envs=1, seed=0, drift=0.06):
+    if os.environ.get("BROKEN_DRIFT") == str(drift):
+        raise RuntimeError("the arm has come off")
+    return RememberingPointMass([num_envs], seed=seed, drift=drift)
+"""
+ENV = {
+    "name": "point",
+    "base": {"_target_": "point.make", "drift": 0.06},
+    "batching": "native",
+    "max_episode_steps": 20,
+    "inputs": {"end_effector_position": {}, "goal": {}},
+    "scenarios": {"drifting": {}},
+}
+SETTINGS = {
+    "scale": "tiny",
+    "launcher": "local",
+    "workers": 2,
+    "out": "out",
+    "overrides": ["logger=[csv]", "render.enabled=false", "env=point", "algorithm.agent.hidden=[16,16]"],
+    "scales": {
+        "tiny": {
+            "seeds": 2,
+            "stack": 2,
+            "overrides": [
+                "trainer.total_steps=200",
+                "trainer.warmup_steps=100",
+                "trainer.steps_per_collection=20",
+                "trainer.batch_size=16",
+                "trainer.evaluation={every: 100, episodes: 4, final_episodes: 4, slots: 4}",
+                "trainer.checkpoint.every=20",
+            ],
+        }
+    },
+}
+EXPERIMENT = {
+    "title": "A point that drifts",
+    "paper": "no figure",
+    "figure": "sweep",
+    "arms": {"residual RL": ["arm=residual"]},
+    "sweep": {"key": "env.base.drift", "label": "drift [m]", "values": {"tiny": [0.0, 0.06]}},
+}
+
+
+def write(path, content):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(yaml.safe_dump(content, sort_keys=False))

@@ -1,0 +1,53 @@
+"""A project of its own with a fast environment and a small experiment."""
+
+import shutil
+from functools import partial
+
+import pytest
+from rich.console import Console
+
+from experiment_project import ENV, ENVIRONMENT, EXPERIMENT, OURS, SETTINGS, TESTS, write
+from rrl.trainers import cli
+from rrl.trainers.experiments.reproduce import reproduce
+from rrl.trainers.experiments.spec import load_experiments
+
+
+@pytest.fixture
+def project(tmp_path, monkeypatch):
+    """The project's folder, which is the working directory; write experiments with :func:`write`."""
+    (tmp_path / "point.py").write_text(ENVIRONMENT)
+    shutil.copy(TESTS / "toy_envs.py", tmp_path)
+    write(tmp_path / "configs/env/point.yaml", ENV)
+    write(tmp_path / "configs/reproduce.yaml", SETTINGS)
+    write(tmp_path / "configs/experiment/drift.yaml", EXPERIMENT)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def folders(project):
+    return [project / "configs"]
+
+
+@pytest.fixture
+def compose(project):
+    return partial(cli._compose, [project / "configs", OURS])
+
+
+@pytest.fixture
+def run(project, folders, compose):
+    """``rrl reproduce`` in this process, its runs in processes of their own; returns the report and what was said."""
+
+    def call(*names, **changes):
+        console = Console(record=True, width=200, file=(project / "said.txt").open("w"))
+        with console.file:
+            report = reproduce(names, changes, compose, folders, console)
+        return report, (project / "said.txt").read_text()
+
+    return call
+
+
+@pytest.fixture
+def experiments(folders):
+    return lambda *names: load_experiments(names, folders)

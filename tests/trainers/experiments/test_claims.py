@@ -1,0 +1,167 @@
+"""Claims are judged by the numbers, whichever way they fall; what has no numbers is not judged."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from rrl.trainers.experiments.claims import CLAIMS, criterion, judge
+from rrl.trainers.experiments.figures import draw
+from rrl.trainers.experiments.outcomes import Finding, Outcome
+from rrl.trainers.experiments.plan import Point
+from rrl.trainers.experiments.spec import Experiment
+from rrl.trainers.experiments.tables import final_rows, success_rows
+from rrl.trainers.runs import Run
+
+SEEDS = (0, 1, 2)
+EPISODES = 20
+
+
+@pytest.fixture
+def outcome(tmp_path):
+    """Makes an outcome from final numbers by entry and curves by entry, spread a little over the seeds."""
+
+    def make(arm="residual RL", value=None, curves=None, scenario="misaligned", scenarios=None, **final):
+        path = tmp_path / f"{len(list(tmp_path.iterdir()))}"
+        path.mkdir()
+        numbers = {"success": 1.0, "return": -2.0, "controller_success": 0.1, "controller_return": -4.0, **final}
+        numbers = {"return_gain": numbers["return"] - numbers["controller_return"], **numbers}
+        numbers = {"rescues": 5, "regressions": 0, "mcnemar_p": 0.06, **numbers}
+        results = {
+            name: {str(seed): {k: v + 0.001 * seed * (k == "return") for k, v in entry.items()} for seed in SEEDS}
+            for name, entry in (scenarios or {scenario: {}}).items()
+            for entry in [{**numbers, **entry}]
+        }
+        (path / "results.json").write_text(json.dumps(results))
+        curves = {"success": [0, 1], "return": [-4, -2], **(curves or {})}
+        curves |= {f"controller_{name}": [values[0]] * len(values) for name, values in curves.items()}
+        with (path / "metrics.csv").open("w") as file:
+            rows = csv.writer(file)
+            rows.writerow(["env_steps", "seed", "metric", "value"])
+            for name, values in curves.items():
+                for i, v in enumerate(values):
+                    rows.writerows(
+                        [i * 500, seed, f"eval/{next(iter(results))}/{name}", v + 0.01 * seed] for seed in SEEDS
+                    )
+        trainer = {"seed": 0, "num_seeds": 3, "total_steps": 500, "evaluation": {"final_episodes": EPISODES}}
+        config = {"trainer": trainer, "env": {"scenarios": {name: {} for name in results}}}
+        (path / "config.yaml").write_text(yaml.safe_dump(config))
+        point = Point("some", arm, value, "key", (), config, SEEDS)
+        return Outcome(point, (Run(path, path.name),))
+
+    return make
+
+
+def verdict(number, *outcomes):
+    claim, experiment, _ = next(c for c in CLAIMS if c[0].startswith(f"{number}."))
+    found = {v.claim: v for v in judge({experiment: Finding(experiment, outcomes)})}
+    return found[claim]
+
+
+def test_learning_faster_is_more_return_over_all_evaluations(outcome):
+    residual, slow = outcome(curves={"return": [-4, -2, -2]}), outcome("RL alone", curves={"return": [-9, -6, -2]})
+    assert verdict("1a", residual, slow).word == "holds"
+    as_fast = outcome("RL alone", curves={"return": [-4, -2, -2]})
+    assert verdict("2a", residual, as_fast).word == "does not hold"
+
+
+def test_ending_above_the_controller_is_a_gain_that_is_surely_positive(outcome):
+    assert verdict("1b", outcome(**{"return": -2.0})).holds
+    assert not verdict("2b", outcome(**{"return": -4.2})).holds
+
+
+@pytest.mark.parametrize(
+    ("last", "controller", "holds"), [(-2.2, -4.0, True), (-3.5, -4.0, False), (-2.0, -2.0, False)]
+)
+def test_level_is_losing_a_third_of_what_the_controller_loses(outcome, last, controller, holds):
+    first = outcome(value=0.0, controller_return=-2.0)
+    end = outcome(value=0.3, controller_return=controller, **{"return": last})
+    assert verdict("3", end, first).holds == holds
+    assert verdict("5", first, end).holds == holds
+
+
+def test_the_papers_table(outcome):
+    scenarios = {
+        "misaligned": {"success": 0.75, "controller_success": 0.1},
+        "aligned": {"success": 1.0, "controller_success": 1.0},
+    }
+    found = outcome(scenarios=scenarios)
+    assert verdict("6a", found).holds
+    assert (
+        "residual 45 of 60 [62%, 85%], 15.0 of 20; controller 2 of 20 [1%, 32%], 2.0 of 20"
+        in verdict("6a", found).numbers
+    )
+    assert verdict("6b", found).holds
+    scenarios["misaligned"]["success"] = 0.7
+    scenarios["aligned"]["success"] = 0.9
+    assert not verdict("6a", outcome(scenarios=scenarios)).holds
+    assert not verdict("6b", outcome(scenarios=scenarios)).holds
+
+
+def test_success_grows(outcome):
+    assert verdict("7", outcome(curves={"success": [0.1, 0.5, 0.8]})).holds
+    assert not verdict("7", outcome(curves={"success": [0.1, 0.5, 0.6]})).holds
+
+
+def test_bias_does_not_stop_learning_if_every_bias_is_learned(outcome):
+    good, bad = outcome(value=0.1), outcome(value=0.2, success=0.5)
+    assert verdict("8", good).holds
+    assert not verdict("8", good, bad).holds
+
+
+def test_transfer_is_quick_if_it_takes_less_than_a_thousand_steps(outcome):
+    arm = "residual RL on the policy from simulation"
+    quick, late = outcome(arm, curves={"success": [0.2, 0.95]}), outcome(arm, curves={"success": [0.2, 0.3, 0.95]})
+    assert verdict("9", quick).holds
+    assert not verdict("9", late).holds
+    assert (
+        "RL from scratch: not reached"
+        in verdict("9", quick, outcome("RL from scratch", curves={"success": [0, 0]})).numbers
+    )
+
+
+def test_a_claim_without_its_outcomes_is_not_tested(outcome):
+    assert verdict("1a", outcome()).word == "not tested"
+    assert verdict("3", outcome(value=0.0)).word == "not tested"
+    assert judge({}) == []
+
+
+def test_every_claim_says_how_it_is_tested():
+    assert len(CLAIMS) == 13
+    for claim, _, _ in CLAIMS:
+        assert len(criterion(claim)) > 20
+
+
+@pytest.mark.parametrize("figure", ["curves", "sweep", "table"])
+def test_figures_and_tables_of_a_store(outcome, figure, tmp_path):
+    sweep = {"key": "a.b", "label": "b [m]", "values": {"quick": [0.0, 1.0]}}
+    experiment = Experiment(name="some", title="T", paper="P", figure=figure, arms={"residual RL": ()}, sweep=sweep)
+    finding = Finding("some", (outcome(value=0.0), outcome(value=1.0, success=0.5)))
+    out = draw(experiment, finding, tmp_path / "figures")
+    assert out.read_bytes().startswith(b"\x89PNG")
+    assert "<svg" in out.with_suffix(".svg").read_text()
+    header, rows = final_rows(experiment, finding)
+    assert [len(row) for row in rows] == [len(header)] * 2
+    assert rows[1][:3] == ["residual RL", "1", "3"]
+    header, rows = success_rows(experiment, finding)
+    assert rows[1][2:5] == ["30 of 60", "[37%, 63%]", "10.0"]
+
+
+def test_an_outcome_puts_the_groups_of_seeds_together(outcome):
+    one, other = outcome(), outcome()
+    results = json.loads((other.runs[0].path / "results.json").read_text())
+    moved = {name: {str(int(s) + 3): v for s, v in entry.items()} for name, entry in results.items()}
+    (other.runs[0].path / "results.json").write_text(json.dumps(moved))
+    config = {**other.point.config, "trainer": {**other.point.config["trainer"], "seed": 3}}
+    (other.runs[0].path / "config.yaml").write_text(yaml.safe_dump(config))
+    text = (other.runs[0].path / "metrics.csv").read_text()
+    for seed in (2, 1, 0):
+        text = text.replace(f",{seed},eval", f",{seed + 3},eval")
+    (other.runs[0].path / "metrics.csv").write_text(text)
+    point = Point("some", "residual RL", None, "key", (), config, tuple(range(5)))
+    together = Outcome(point, (one.runs[0], Run(other.runs[0].path, "other")))
+    assert together.seeds == [0, 1, 2, 3, 4]  # the sixth was not asked for
+    np.testing.assert_allclose(together.final("return"), [-2.0, -1.999, -1.998, -2.0, -1.999])
+    assert together.curve("success").values.shape == (5, 2)

@@ -1,0 +1,158 @@
+"""From YAML to runs: shared by configuration, grouped by what is missing, complete for every paper experiment."""
+
+from functools import partial
+
+import pytest
+import yaml
+
+from experiment_project import EXPERIMENT, OURS, SETTINGS, write
+from rrl.trainers import assembly, checks, cli
+from rrl.trainers.experiments.plan import plan_jobs, plan_points, quoted
+from rrl.trainers.experiments.spec import Settings, load_experiments, load_settings
+from rrl.trainers.experiments.store import Store
+from rrl.trainers.summary import write_results
+
+NAMES = [path.stem for path in sorted((OURS / "experiment").glob("*.yaml"))]
+
+
+@pytest.fixture
+def points(experiments, compose, folders):
+    return lambda *names: plan_points(experiments(*names), load_settings(folders, {}), compose)
+
+
+def test_points_are_arms_times_settings(points):
+    found = points("drift")
+    assert [(p.arm, p.value) for p in found] == [("residual RL", 0.0), ("residual RL", 0.06)]
+    assert [p.config["env"]["base"]["drift"] for p in found] == [0.0, 0.06]
+    assert len({p.key for p in found}) == 2
+
+
+def test_equal_configurations_share_their_runs(points, folders, tmp_path):
+    other = {**EXPERIMENT, "overrides": ["env.base.drift=0.06", "name=another"], "figure": "curves"}
+    write(folders[0] / "experiment/same.yaml", {k: v for k, v in other.items() if k != "sweep"})
+    write(folders[0] / "experiment/view.yaml", {"title": "t", "paper": "p", "figure": "table", "runs_of": "drift"})
+    found = points()
+    jobs = plan_jobs(found, Store(tmp_path / "out"), stack=2, workers=1)
+    assert len(found) == 5
+    assert len(jobs) == 2
+
+
+@pytest.mark.parametrize(
+    ("stack", "workers", "expected"),
+    [
+        (5, 1, [(0, 1, 2, 3, 4), (5, 6, 7, 8, 9)]),
+        (10, 1, [tuple(range(10))]),
+        (10, 4, [(0, 1, 2, 3, 4), (5, 6, 7, 8, 9)]),  # two points share four workers
+        (10, 20, [(k,) for k in range(10)]),
+    ],
+)
+def test_seeds_are_stacked_as_it_suits_the_machine(stack, workers, expected, points, folders, tmp_path):
+    settings = {**SETTINGS, "scales": {"tiny": {**SETTINGS["scales"]["tiny"], "seeds": 10}}}
+    write(folders[0] / "reproduce.yaml", settings)
+    jobs = plan_jobs(points("drift"), Store(tmp_path / "out"), stack, workers)
+    for key in {job.run.key for job in jobs}:
+        assert [job.run.seeds for job in jobs if job.run.key == key] == expected
+
+
+def test_runs_in_the_store_are_kept_and_only_missing_seeds_are_added(points, folders, tmp_path):
+    store = Store(tmp_path / "out")
+    for job in plan_jobs(points("drift"), store, stack=2, workers=1):
+        store.register(job.run, job.overrides)
+    settings = {**SETTINGS, "scales": {"tiny": {**SETTINGS["scales"]["tiny"], "seeds": 5}}}
+    write(folders[0] / "reproduce.yaml", settings)
+    jobs = plan_jobs(points("drift"), store, stack=2, workers=1)
+    assert [job.run.seeds for job in jobs] == [(0, 1), (2, 3), (4,)] * 2
+
+
+def test_a_change_of_configuration_is_another_run_and_a_change_of_logging_is_not(points, folders):
+    before = points("drift")[0].key
+    for change, same in (("algorithm.agent.tau=0.5", False), ("render.fps=7", True), ("trainer.threads=2", True)):
+        write(folders[0] / "reproduce.yaml", {**SETTINGS, "overrides": [*SETTINGS["overrides"], change]})
+        assert (points("drift")[0].key == before) == same, change
+
+
+def test_what_starts_from_another_run_waits_for_it_and_names_it(points, folders, tmp_path):
+    arms = {"from it": ["arm=rl", "init_from.run=run:first"], "alone": ["arm=rl"]}
+    content = {**EXPERIMENT, "figure": "curves", "sources": {"first": ["arm=rl", "env.base.drift=0.0"]}, "arms": arms}
+    write(folders[0] / "experiment/chain.yaml", {k: v for k, v in content.items() if k != "sweep"})
+    jobs = plan_jobs(points("chain"), Store(tmp_path / "out"), stack=2, workers=9)
+    source = jobs[0].run
+    assert source.seeds == (0, 1)  # whole, whatever the number of workers
+    for job in jobs[1:]:
+        starts = any(f"init_from.run={quoted(source.path)}" == override for override in job.overrides)
+        assert (job.needs == (source,)) == starts == ("from-it" in job.run.name)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"arms": {}}, "expected either arms or runs_of"),
+        ({"figure": "pie"}, "wrong.figure"),
+        ({"seeds": 3}, "wrong.seeds: unknown key"),
+        ({"sweep": None}, "needs a sweep"),
+        ({"arms": {"a": ["init_from.run=run:nobody"]}}, "unknown source 'nobody'"),
+        ({"sweep": {"key": "k", "label": "l", "values": {"other": [1]}}}, "expected values for 'tiny'"),
+    ],
+)
+def test_a_wrong_experiment_is_explained(change, message, points, folders):
+    write(folders[0] / "experiment/wrong.yaml", {**EXPERIMENT, **change})
+    with pytest.raises(ValueError, match=message):
+        points("wrong")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"scale": "huge"}, "expected one of tiny, got 'huge'"),
+        ({"sclae": "tiny"}, "unknown setting sclae; expected scale, launcher, workers, out"),
+        ({"workers": 0}, "workers"),
+        ({"launcher": "slurm"}, "launcher"),
+    ],
+)
+def test_a_wrong_setting_is_explained(changes, message, folders):
+    with pytest.raises(ValueError, match=message):
+        load_settings(folders, changes)
+
+
+def test_an_unknown_experiment_is_answered_with_the_known_ones(folders):
+    with pytest.raises(ValueError, match="unknown experiment drfit; choose from drift"):
+        load_experiments(["drfit"], folders)
+
+
+# ---------------------------------------------------------------- the paper's experiments
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    """A short run of the source of sim-to-real, for those that start from it."""
+    run_dir = tmp_path_factory.mktemp("source")
+    point = next(p for p in paper_points("quick", ["sim-to-real"]) if p.whole)
+    settings = {"total_steps": 100, "warmup_steps": 50, "num_seeds": 2, "batch_size": 16}
+    evaluation = {"every": 0, "episodes": 1, "final_episodes": 1, "seed": 0, "slots": 1}
+    trainer = {**point.config["trainer"], **settings, "evaluation": evaluation}
+    config = {**point.config, "trainer": trainer}
+    with assembly.trainer(config, run_dir) as made:
+        write_results(made.run(), made.settings.seeds, run_dir)
+    (run_dir / "config.yaml").write_text(yaml.safe_dump(config))
+    return run_dir
+
+
+def paper_points(scale, names=()):
+    compose = partial(cli._compose, [OURS])
+    settings: Settings = load_settings([OURS], {"scale": scale})
+    return plan_points(load_experiments(names, [OURS]), settings, compose)
+
+
+def test_the_papers_ten_experiments_are_there():
+    assert len(NAMES) == 10
+
+
+@pytest.mark.parametrize("scale", ["quick", "paper"])
+def test_every_experiment_is_made_of_valid_runs(scale, source):
+    arms = {(point.experiment, point.arm): point for point in paper_points(scale)}  # at the last setting
+    compose = partial(cli._compose, [OURS])
+    for point in {point.key: point for point in arms.values()}.values():
+        config = point.config
+        if point.sources:
+            config = compose([override.replace("run:sim-policy", quoted(source)) for override in point.overrides])
+        assert not checks.problems(config), point.name

@@ -1,0 +1,160 @@
+"""The command: what is missing is run, what failed is named, what was killed goes on, and all of it is shown."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from experiment_project import EXPERIMENT, SETTINGS, write
+from rrl.trainers import cli
+from rrl.trainers.experiments import pool
+from rrl.trainers.experiments.store import StoredRun
+from rrl.trainers.interruption import Interrupted
+from rrl.trainers.loggers import read_metrics
+
+
+def results(project):
+    return {path.parent: path.stat().st_mtime_ns for path in project.glob("out/runs/*/*/results.json")}
+
+
+def metrics(run_dir):
+    rows = read_metrics(run_dir)
+    return {name: series for name, series in rows.items() if not name.startswith("time/")}
+
+
+def test_a_failed_run_is_named_and_tried_again_while_the_others_are_kept(project, run, monkeypatch):
+    """One arm starts from a run that fails, the other does not."""
+    arms = {"from it": ["arm=rl", "init_from.run=run:first"], "residual RL": ["arm=residual"]}
+    content = {"figure": "curves", "sources": {"first": ["arm=rl", "env.base.drift=0.03"]}, "arms": arms}
+    write(project / "configs/experiment/chain.yaml", {"title": "A point that drifts", "paper": "none", **content})
+    monkeypatch.setenv("BROKEN_DRIFT", "0.03")
+    with pytest.raises(RuntimeError, match="2 runs are missing, 1 failed; the same command tries them again"):
+        run("chain")
+    said = (project / "said.txt").read_text()
+    assert "FAILED chain-first-" in said
+    assert "the arm has come off" in said
+    assert "NOT STARTED chain-from-it-" in said
+    finished = results(project)
+    assert [path.parent.name.rpartition("-")[0] for path in finished] == ["chain-residual-rl"]
+
+    monkeypatch.delenv("BROKEN_DRIFT")
+    report, said = run("chain")
+    assert "3 runs, 1 of them finished; 800 environment steps to go" in said
+    after = results(project)
+    assert finished.items() <= after.items()  # untouched
+    ended = {path.parent.name.rpartition("-")[0]: time for path, time in after.items()}
+    assert ended["chain-first"] < ended["chain-from-it"]
+    for name in ("chain.png", "chain.svg"):
+        assert (project / "out/figures" / name).stat().st_size > 5000
+    page = report.read_text()
+    assert "A point that drifts" in page
+    assert "chain-from-it-" in page
+
+    _, said = run("chain")
+    assert "3 runs, 3 of them finished; 0 environment steps to go" in said
+    assert results(project) == after
+
+
+def long_experiment(project):
+    overrides = ["trainer.total_steps=6000", "trainer.evaluation.every=0"]
+    content = {**EXPERIMENT, "figure": "curves", "overrides": overrides}
+    write(project / "configs/experiment/long.yaml", {k: v for k, v in content.items() if k != "sweep"})
+    scale = {**SETTINGS["scales"]["tiny"], "seeds": 1}
+    write(project / "configs/reproduce.yaml", {**SETTINGS, "scales": {"tiny": scale}})
+
+
+def steps(project):
+    rows = [read_metrics(path.parent) for path in project.glob("out/runs/*/*/metrics.csv")]
+    return max(
+        (point[0] for row in rows for series in row.values() for points in series.values() for point in points),
+        default=0,
+    )
+
+
+def wait_for(condition, seconds=200):
+    deadline = time.monotonic() + seconds
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert condition()
+
+
+def test_ctrl_c_saves_the_runs_and_the_same_command_goes_on(project, run):
+    long_experiment(project)
+
+    def interrupt():
+        wait_for(lambda: steps(project) >= 300)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    with pytest.raises(Interrupted):
+        run("long")
+    thread.join()
+    assert "to go on:\n  rrl reproduce long" in (project / "said.txt").read_text()
+    (run_dir,) = project.glob("out/runs/*/*")
+    assert "rrl train resume=" in (run_dir / "log.txt").read_text()  # it ended by itself, with a checkpoint
+    reached = steps(project)
+    assert 300 <= reached < 6000
+    assert sorted((run_dir / "checkpoints").iterdir())[-1].name == f"checkpoint-{reached:012d}"
+
+
+def test_a_killed_command_takes_its_runs_along_and_the_next_one_goes_on(project):
+    """SIGKILL for the command; its run gets SIGTERM, saves itself and ends."""
+    long_experiment(project)
+    command = [sys.executable, "-m", "rrl.trainers", "reproduce", "long"]
+    parent = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.STDOUT)
+    wait_for(lambda: steps(project) >= 300)
+    parent.kill()
+    parent.wait()
+    (run_dir,) = project.glob("out/runs/*/*")
+    wait_for(lambda: "the run is on disk" in (run_dir / "log.txt").read_text())
+    reached = steps(project)
+    assert reached < 6000
+    record = json.loads((run_dir / "run.json").read_text())
+    assert record["seeds"] == [0]
+    said = subprocess.run([*command, "workers=1"], capture_output=True, text=True, check=True, timeout=250)
+    assert "1 runs, 0 of them finished" in said.stdout
+    assert f"resuming from {run_dir}/checkpoints/checkpoint-{reached:012d}" in (
+        run_dir / "log.txt"
+    ).read_text().replace("\n", "")
+    assert results(project)
+
+
+@pytest.mark.slow
+def test_a_stack_gives_what_its_seeds_give_alone(project, run):
+    """Grouping is a matter of speed alone."""
+    run("drift", workers=1)
+    run("drift", workers=8, out="spread")
+    together = {path.parent.name: path for path in project.glob("out/runs/*/seeds-0-1")}
+    alone = sorted(project.glob("spread/runs/*/seed-*"))
+    assert len(together) == 2
+    assert len(alone) == 4
+    for path in alone:
+        seed = int(path.name.removeprefix("seed-"))
+        expected = metrics(together[path.parent.name])
+        for name, series in metrics(path).items():
+            assert series[seed] == pytest.approx(expected[name][seed], rel=1e-3, abs=1e-4), name
+
+
+@pytest.mark.slow
+def test_ray_runs_them_too(project):
+    pytest.importorskip("ray")
+    command = [sys.executable, "-m", "rrl.trainers", "reproduce", "drift", "launcher=ray"]
+    said = subprocess.run(command, capture_output=True, text=True, timeout=280)
+    assert said.returncode == 0, said.stdout + said.stderr
+    assert len(results(project)) == 2
+
+
+def test_the_command_line_explains_what_it_does_not_know(project, capsys):
+    assert cli.main(["reproduce", "drfit"]) == 2
+    assert "unknown experiment drfit; choose from" in capsys.readouterr().err
+
+
+def test_the_end_of_a_log_that_is_not_there_is_said(tmp_path):
+    assert "No such file" in pool.tail(StoredRun(Path(tmp_path / "none"), "key", (0,)))
