@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: train test test-slow lint controllers faults soak clean
+.PHONY: train test test-slow lint controllers reproduce faults soak clean
 
 train: $(VENV)/installed            ## train residual TD3 on the misaligned insertion task, five seeds side by side
 	$(BIN)/rrl train trainer.num_seeds=5
@@ -21,6 +21,9 @@ lint: $(VENV)/installed             ## style and types
 
 controllers: $(VENV)/installed      ## score the hand-written controllers on every setting of the task
 	$(BIN)/python benchmarks/controllers.py
+
+reproduce: $(VENV)/installed        ## the paper's ten experiments at the quick scale: figures, claims and a report
+	$(BIN)/rrl reproduce
 
 faults: $(VENV)/installed           ## kill a training run a hundred times, resume it, compare it with one left in peace
 	$(BIN)/python -W ignore benchmarks/faults.py --kills 100
