@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
-from rrl.keys import ACTION, DIVERGED, SUCCESS
+from rrl.keys import ACTION, DIVERGED, SAFETY, SUCCESS
 from rrl.random import seed_env
 
 from .statistics import mcnemar, wilson
@@ -31,6 +31,7 @@ class Episodes:
         success: whether the last step was a success; None where the environment does not say.
         diverged: whether the physics diverged.
         peaks: largest value of each entry of ``PEAKS`` over the episode, in the entry's units.
+        limited: number of steps in which each safety limit changed the action, by the limit's name.
 
     """
 
@@ -39,9 +40,10 @@ class Episodes:
     success: NDArray[np.bool_] | None
     diverged: NDArray[np.bool_]
     peaks: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    limited: dict[str, NDArray[np.int64]] = field(default_factory=dict)
 
     def summary(self) -> dict[str, float]:
-        """Means over the episodes, with Wilson's interval of the success rate."""
+        """Means over the episodes, with Wilson's interval of the success rate; ``safety_*`` are shares of the steps."""
         out = {
             "return": float(self.returns.mean()),
             "episode_length": float(self.lengths.mean()),
@@ -54,7 +56,9 @@ class Episodes:
                 "success_low": low,
                 "success_high": high,
             }
-        return out | {f"peak_{name}": float(peak.mean()) for name, peak in self.peaks.items()}
+        out |= {f"peak_{name}": float(peak.mean()) for name, peak in self.peaks.items()}
+        steps = self.lengths.sum()
+        return out | {f"{SAFETY}_{name}": float(count.sum() / steps) for name, count in self.limited.items()}
 
 
 @dataclass(frozen=True)
@@ -135,6 +139,7 @@ def _run_batch(env: EnvBase, policy: TensorDictModuleBase, max_steps: int) -> Ep
     diverged = torch.zeros(slots, dtype=torch.bool)
     success = None
     peaks: dict[str, torch.Tensor] = {}
+    limited: dict[str, torch.Tensor] = {}
     for _ in range(max_steps):
         td = env.step(policy(td))
         following = td["next"]
@@ -149,6 +154,8 @@ def _run_batch(env: EnvBase, policy: TensorDictModuleBase, max_steps: int) -> Ep
             if name in following:
                 value = torch.where(running, _column(following, name, slots), -torch.inf)
                 peaks[name] = torch.maximum(peaks.get(name, value), value)
+        for name in following.get(SAFETY, {}).keys():  # noqa: SIM118 - a TensorDict's
+            limited[name] = limited.get(name, 0) + (_column(following, (SAFETY, name), slots) & running).long()
         running &= ~_column(following, "done", slots)
         if not running.any():
             break
@@ -159,10 +166,11 @@ def _run_batch(env: EnvBase, policy: TensorDictModuleBase, max_steps: int) -> Ep
         None if success is None else success.numpy(),
         diverged.numpy(),
         {name: peak.double().numpy() for name, peak in peaks.items()},
+        {name: count.numpy() for name, count in limited.items()},
     )
 
 
-def _column(td: TensorDictBase, key: str, slots: int) -> torch.Tensor:
+def _column(td: TensorDictBase, key: NestedKey, slots: int) -> torch.Tensor:
     return td[key].reshape(slots)
 
 
@@ -174,4 +182,5 @@ def _concatenate(parts: list[Episodes], count: int) -> Episodes:
         np.concatenate(successes)[:count] if successes else None,
         np.concatenate([p.diverged for p in parts])[:count],
         {name: np.concatenate([p.peaks[name] for p in parts])[:count] for name in parts[0].peaks},
+        {name: np.concatenate([p.limited[name] for p in parts])[:count] for name in parts[0].limited},
     )

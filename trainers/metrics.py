@@ -23,7 +23,8 @@ ACTION = "action"
 """The split of work: ``action/residual_rms``, ``action/residual_share``, ``action/clip_fraction``."""
 
 SAFETY = "safety"
-"""Share of the steps in which a limit changed the action: ``safety/workspace``, ``safety/step``, ``safety/force``."""
+"""Share of the training steps in which a limit changed the action: ``safety/workspace``, ``safety/step``,
+``safety/force``; in evaluations ``eval/<scenario>/safety_<limit>``."""
 
 TIME = "time"
 """Seconds since the last row: ``time/collect``, ``store``, ``sample``, ``update``, ``evaluate``, ``checkpoint``."""

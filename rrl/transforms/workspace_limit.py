@@ -20,11 +20,10 @@ __all__ = ["WorkspaceLimit"]
 class WorkspaceLimit(SafetyLimit):
     """Clips a displacement so that the commanded position stays in a box.
 
-        low <= x + unit * u <= high
+        low + margin <= x + unit * u <= high - margin
 
     From outside the box, where a disturbance may have carried the end effector, only motion back into it is left,
-    as fast as the action's bounds allow. What is limited is the command: where the robot may overshoot it,
-    put the box that much further in.
+    as fast as the action's bounds allow. What is limited is the command; ``margin`` is for what the robot overshoots.
 
     policy -> env: reads and writes ``action_key``.
     env -> policy: reads ``position_key``, writes ("safety", "workspace"); see :class:`SafetyLimit`.
@@ -33,12 +32,12 @@ class WorkspaceLimit(SafetyLimit):
         low: Lower corner of the box in metres, a number or one a dimension.
         high: Upper corner, above the lower one.
         unit: Metres that one unit of the action stands for.
+        margin: Metres by which the box of commands is smaller on every side, a number or one a dimension, not negative.
         position_key: Position x, ``[*batch, n_act]`` in metres.
         action_key: The displacement u, ``[*batch, n_act]``; may be nested.
 
     Raises:
-        ValueError: If a number is not finite, ``high`` is not above ``low``, ``unit`` is not positive, or sizes
-            do not fit.
+        ValueError: If a number is not finite, the margins leave no box, ``unit`` is not positive, or sizes do not fit.
         KeyError: If position or action is missing.
         RuntimeError: If actions pass the inverse without an environment or before a reset.
 
@@ -49,13 +48,18 @@ class WorkspaceLimit(SafetyLimit):
         low: float | Sequence[float],
         high: float | Sequence[float],
         unit: float = 1.0,
+        margin: float | Sequence[float] = 0.0,
         position_key: NestedKey = "end_effector_position",
         action_key: NestedKey = ACTION,
     ) -> None:
         super().__init__("workspace", [position_key], action_key)
-        self.low, self.high = per_dimension("low", low), per_dimension("high", high)
+        room = per_dimension("margin", margin, minimum=0.0)
+        self.low, self.high = per_dimension("low", low) + room, per_dimension("high", high) - room
         if not (self.high > self.low).all():
-            raise ValueError(f"high must be above low in every dimension, got low {low!r} and high {high!r}.")
+            raise ValueError(
+                f"high must be above low in every dimension, with margins between, got low {low!r}, high {high!r} and "
+                f"margin {margin!r}."
+            )
         self.unit = per_dimension("unit", unit, positive=True)
 
     def measure(self, tensordict: TensorDictBase, action: Tensor) -> Tensor:

@@ -34,6 +34,13 @@ def test_the_box_is_never_left() -> None:
     assert (positions > high - 1e-3).any()  # it was tried
 
 
+def test_a_margin_keeps_commands_off_the_faces() -> None:
+    env = wild(WorkspaceLimit(**BOX, unit=STEP_SIZE, margin=[0.1, 0.2]), drift=0.0)
+    positions = torch.stack([td[POSITION] for td in drive(env, random_actions(300, 4, 2))])[20:]
+    torch.testing.assert_close(positions.amax((0, 1)), torch.tensor([0.4, 0.35]), atol=1e-3, rtol=0.0)
+    torch.testing.assert_close(positions.amin((0, 1)), torch.tensor([-0.4, -0.3]), atol=1e-3, rtol=0.0)
+
+
 def test_from_outside_the_box_only_the_way_back_is_left() -> None:
     env = TransformedEnv(PointMass((), drift=0.0), WorkspaceLimit(low=2.0, high=3.0, unit=STEP_SIZE))
     step = env.step(env.reset().set("action", torch.tensor([-1.0, 0.5])))
@@ -128,6 +135,8 @@ def test_an_arm_never_presses_harder_than_the_limit_at_low_speed() -> None:
     ("make", "message"),
     [
         (lambda: WorkspaceLimit(0.1, 0.1), "high must be above low"),
+        (lambda: WorkspaceLimit(0.1, 0.3, margin=0.15), "high must be above low"),
+        (lambda: WorkspaceLimit(0.1, 0.3, margin=-0.1), "margin must be at least 0"),
         (lambda: WorkspaceLimit(0.0, 1.0, unit=0.0), "unit must be positive"),
         (lambda: StepLimit(), "got neither"),
         (lambda: StepLimit(size=-1.0), "size must be positive"),
