@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: train test test-slow lint controllers reproduce faults soak clean
+.PHONY: train test test-slow lint docs controllers reproduce faults soak ablation clean
 
 train: $(VENV)/installed            ## train residual TD3 on the misaligned insertion task, five seeds side by side
 	$(BIN)/rrl train trainer.num_seeds=5
@@ -19,6 +19,9 @@ lint: $(VENV)/installed             ## style and types
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+docs: $(VENV)/installed             ## the reference from the docstrings, in build/reference
+	$(BIN)/python docs/reference.py
+
 controllers: $(VENV)/installed      ## score the hand-written controllers on every setting of the task
 	$(BIN)/python benchmarks/controllers.py
 
@@ -30,6 +33,9 @@ faults: $(VENV)/installed           ## kill a training run a hundred times, resu
 
 soak: $(VENV)/installed             ## train for ten minutes and watch memory, files, threads and speed
 	$(BIN)/python -W ignore benchmarks/soak.py --minutes 10
+
+ablation: $(VENV)/installed         ## what every switch for sample efficiency does, added to td3 and removed from td3-efficient
+	$(BIN)/python -W ignore benchmarks/ablation.py
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
