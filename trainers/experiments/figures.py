@@ -42,14 +42,25 @@ def _curves(experiment: Experiment, finding: Finding) -> Figure:
         for i, outcome in enumerate(finding.outcomes):
             label = _label(experiment, outcome)
             _band(axis, outcome.curve(entry).scaled(unit), COLOURS[i % len(COLOURS)], label, entry)
-            if outcome.point.arm == finding.arms[0] and (i == 0 or experiment.sweep):
-                controller = outcome.curve(f"controller_{entry}").scaled(unit)
-                colour = COLOURS[i % len(COLOURS)] if experiment.sweep else CONTROLLER_COLOUR
-                said = f"controller alone{label.removeprefix(outcome.point.arm)}"
-                axis.plot(controller.steps, controller.mean, "--", color=colour, lw=1.6, label=said)
+        _controllers(axis, finding, entry, unit)
         axis.set_xlabel("environment steps of one seed")
     _finish(figure, axes, experiment, finding)
     return figure
+
+
+def _controllers(axis: Axes, finding: Finding, entry: str, unit: float) -> None:
+    """The controllers alone, dashed: one in its own colour, several each in the colour of what learns on top of it."""
+    having = [i for i, outcome in enumerate(finding.outcomes) if not _acts_alone(outcome)]
+    for n, i in enumerate(having):
+        curve = finding.outcomes[i].curve(f"controller_{entry}").scaled(unit)
+        colour = CONTROLLER_COLOUR if len(having) == 1 else COLOURS[i % len(COLOURS)]
+        label = "controller alone" if len(having) == 1 else "the controller below it alone"
+        axis.plot(curve.steps, curve.mean, "--", color=colour, lw=1.4, label=label if n == 0 else None)
+
+
+def _acts_alone(outcome: Outcome) -> bool:
+    """Whether the policy has no controller below it."""
+    return outcome.point.config["controller"]["_target_"].endswith(".ZeroController")
 
 
 def _sweep(experiment: Experiment, finding: Finding) -> Figure:

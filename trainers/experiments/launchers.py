@@ -59,7 +59,7 @@ class LocalLauncher:
     """
 
     def __init__(self, workers: int | None = None) -> None:
-        self.slots = workers or len(os.sched_getaffinity(0))
+        self.slots = workers or _cores()
 
     def start(self, arguments: Sequence[str], log: Path) -> Handle:
         """Start a process; Ctrl-C in the terminal does not reach it, so that it is stopped by us alone."""
@@ -117,6 +117,11 @@ def spawn(arguments: Sequence[str], log: Path, cwd: str | None = None, path: Seq
             env=variables,
             start_new_session=True,
         )
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class _Process:

@@ -109,8 +109,10 @@ def plan_jobs(points: Sequence[Point], store: Store, stack: int, workers: int) -
     A seed alone equals a seed in a stack, so seeds are grouped as it suits the machine: stacked while there are more
     points than workers, spread over the workers otherwise.
     """
-    unique = {point.key: point for point in reversed(points)}
-    unique = {point.key: unique[point.key] for point in points}
+    unique: dict[str, Point] = {}
+    for point in points:
+        if point.key not in unique or len(point.seeds) > len(unique[point.key].seeds):
+            unique[point.key] = point
     missing = {key: _missing(point, store) for key, point in unique.items()}
     open_points = max(1, sum(bool(seeds) for seeds in missing.values()))
     jobs: list[Job] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from .claims import Verdict, criterion
 from .outcomes import Finding, Findings
 from .pool import Ending, tail
 from .spec import Experiment, Settings
+from .store import recorded_overrides
 from .tables import final_rows, overall_iqm, success_rows
 
 
@@ -83,7 +85,7 @@ def _failures(page: Page, ending: Ending) -> None:
 
 def _configurations(page: Page, experiments: Sequence[Experiment], findings: Findings) -> None:
     page.section("Configurations")
-    page.text("One run a line; each can be made again alone with `rrl train` and these overrides.")
+    page.text("Each run can be made again alone, with the command that its configuration begins with.")
     shown = set()
     for experiment in experiments:
         for outcome in findings[experiment.name].outcomes:
@@ -91,5 +93,5 @@ def _configurations(page: Page, experiments: Sequence[Experiment], findings: Fin
                 if run.path in shown:
                     continue
                 shown.add(run.path)
-                train = f"rrl train {' '.join(outcome.point.overrides)}"
-                page.details(run.label, f"{train}\n\n{yaml.safe_dump(run.config, sort_keys=False)}")
+                command = shlex.join(["rrl", "train", *recorded_overrides(run.path)])
+                page.details(run.label, f"{command}\n\n{yaml.safe_dump(run.config, sort_keys=False)}")

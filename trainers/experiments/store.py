@@ -99,6 +99,11 @@ class Store:
         write_atomically(run.path / RECORD, json.dumps(record, indent=1) + "\n")
 
 
+def recorded_overrides(run_dir: Path) -> list[str]:
+    """With which overrides of ``rrl train`` a run was started."""
+    return list(json.loads((run_dir / RECORD).read_text(encoding="utf-8"))["overrides"])
+
+
 def _read(path: Path) -> StoredRun | None:
     record = json.loads(path.read_text(encoding="utf-8"))
     if record["version"] != VERSION:

@@ -47,6 +47,7 @@ def outcome(tmp_path):
                     )
         trainer = {"seed": 0, "num_seeds": 3, "total_steps": 500, "evaluation": {"final_episodes": EPISODES}}
         config = {"trainer": trainer, "env": {"scenarios": {name: {} for name in results}}}
+        config["controller"] = {"_target_": "rrl.controllers.ProportionalController"}
         (path / "config.yaml").write_text(yaml.safe_dump(config))
         point = Point("some", arm, value, "key", (), config, SEEDS)
         return Outcome(point, (Run(path, path.name),))
