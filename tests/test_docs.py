@@ -1,0 +1,142 @@
+"""The documentation is right: its snippets run, its commands are accepted, its links lead somewhere."""
+
+import importlib.util
+import re
+import shlex
+import sys
+from itertools import chain
+from pathlib import Path
+
+import nbformat
+import pytest
+import yaml
+from hydra import compose, initialize_config_module
+from nbclient import NotebookClient
+from omegaconf import OmegaConf
+
+from rrl.controllers import ProportionalController
+from rrl.trainers import assembly
+from rrl.trainers.cli import COMMANDS, plain_name
+from rrl.trainers.new import create
+from toy_envs import PointMass
+
+ROOT = Path(__file__).parents[1]
+DOCUMENTS = [ROOT / "README.md", ROOT / "examples/README.md", *sorted((ROOT / "docs").glob("*.md"))]
+TUTORIAL = ROOT / "docs/tutorial.ipynb"
+
+
+def blocks(language):
+    """Fenced blocks of every document, named by their place."""
+    for document in DOCUMENTS:
+        text = document.read_text()
+        for found in re.finditer(rf"^```{language}\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
+            line = text[: found.start()].count("\n") + 2
+            yield pytest.param(found[1], id=f"{document.relative_to(ROOT)}:{line}")
+
+
+def commands():
+    """Every shell command of every document."""
+    for block in blocks("sh"):
+        for line in block.values[0].splitlines():
+            for command in re.sub(r"(^|\s)#.*", "", line).split("&&"):
+                if command.strip():
+                    yield pytest.param(shlex.split(command), id=f"{block.id} {command.strip()}")
+
+
+@pytest.mark.parametrize("snippet", [*blocks("python")])
+def test_python_runs(snippet):
+    user_has = {"base": PointMass([1]), "controller": ProportionalController("end_effector_position", gain=1.0)}
+    names = dict(user_has)
+    exec(compile(snippet, "snippet", "exec"), names)
+    if "env" in names:
+        assert names["env"].rollout(2)["base_action"].shape[-1] > 0
+
+
+@pytest.mark.parametrize("command", [*commands()])
+def test_a_command_is_accepted(command, tmp_path, monkeypatch):
+    program, *arguments = command
+    known = {"rrl": check_rrl, "make": check_make, "pip": check_pip, "python": check_python}
+    if program in known:
+        known[program](arguments, tmp_path, monkeypatch)
+    else:
+        assert program in {"cd", "git", "wandb", "tensorboard"}, f"nothing here checks {program!r}"
+
+
+def check_rrl(arguments, tmp_path, monkeypatch):
+    command, *rest = arguments
+    assert command in COMMANDS
+    changes = [a for a in rest if "=" in a and not a.startswith(("run=", "resume="))]
+    if command in ("train", "evaluate", "render"):
+        assembly.check(composed(changes, tmp_path, monkeypatch))
+    elif command == "new":
+        assert create(rest[0], tmp_path)
+    elif command == "reproduce":
+        assert {a for a in rest if "=" not in a} <= {path.stem for path in (ROOT / "configs/experiment").iterdir()}
+        assert {a.partition("=")[0] for a in changes} <= set(
+            yaml.safe_load((ROOT / "configs/reproduce.yaml").read_text())
+        )
+    else:
+        keys = {"report": {"out"}, "dashboard": {"entity", "project"}}[command]
+        assert {a.partition("=")[0] for a in changes} <= keys
+
+
+def composed(changes, folder, monkeypatch):
+    """The configuration, in a project made by ``rrl new`` where the command names one."""
+    search = []
+    if any("my_project" in change for change in changes):
+        create("my_project", folder)
+        monkeypatch.syspath_prepend(folder / "my_project")
+        search = [f"hydra.searchpath=[file://{folder}/my_project/configs]"]
+    OmegaConf.register_new_resolver("plain", plain_name, replace=True)
+    with initialize_config_module("rrl.configs", version_base="1.3"):
+        config = compose("train", overrides=[*search, *changes])
+    return OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+
+
+def check_make(arguments, *_):
+    targets = set(re.findall(r"^(\w[\w-]*):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    assert {a for a in arguments if "=" not in a} <= targets
+
+
+def check_pip(arguments, *_):
+    extras = set(re.findall(r"^(\w+) = \[$", (ROOT / "pyproject.toml").read_text(), re.MULTILINE))
+    named = chain.from_iterable(re.findall(r"rrl\[(.*?)\]", argument) for argument in arguments)
+    assert {extra for extras_of in named for extra in extras_of.split(",")} <= extras
+
+
+def check_python(arguments, *_):
+    assert (ROOT / arguments[0]).is_file() or "NAME" in arguments[0]
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_links_lead_somewhere(document):
+    for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", document.read_text()):
+        assert (document.parent / target).exists(), target
+
+
+def test_the_tutorial_runs(tmp_path):
+    notebook = nbformat.read(TUTORIAL, as_version=4)
+    NotebookClient(notebook, timeout=250, resources={"metadata": {"path": tmp_path}}).execute()
+    printed = "".join(o.get("text", "") for cell in notebook.cells for o in cell.get("outputs", []))
+    rescued, broken = map(int, re.search(r"rescued: (\d+)  broken: (\d+)", printed).groups())
+    assert rescued > 20 > broken  # of 40 episodes
+
+
+def test_the_tutorial_shows_what_it_gives():
+    notebook = nbformat.read(TUTORIAL, as_version=4)
+    outputs = [o for cell in notebook.cells for o in cell.get("outputs", [])]
+    assert sum("image/png" in o.get("data", {}) for o in outputs) == 2
+    assert not [o for o in outputs if o.output_type == "error" or o.get("name") == "stderr"]
+
+
+@pytest.mark.slow
+def test_the_reference_is_built_without_warnings(tmp_path):
+    spec = importlib.util.spec_from_file_location("reference", ROOT / "docs/reference.py")
+    reference = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(reference)
+    reference.build(tmp_path)
+    page = (tmp_path / "rrl/transforms.html").read_text()
+    assert "Adds the policy's action to a controller's" in page
+    for name in reference.modules():
+        assert (tmp_path / f"{name.replace('.', '/')}.html").is_file(), name
+    assert "rrl.trainers" in sys.modules
