@@ -12,8 +12,8 @@ Layout, below the run's directory::
             seal.json                schema version, configuration, position in transitions/, SHA-256 of every file
             components/
                 agent/               parameters, targets, optimisers, update counter
-                episode/             physics, transforms, controller, their generators, the observation to act on
-                exploration/         noise processes and their generators
+                experience/          physics, transforms, controller, exploration, their generators, the observation to
+                                     act on; where collection overlaps, the parameters to act with
                 progress/            counters
                 replay/              position in transitions/
                 rng/                 global generators of Python, NumPy and torch

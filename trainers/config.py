@@ -67,6 +67,8 @@ class TrainerSettings(_Settings):
             0 to 1, so that the controller leads at the start; 0: it is 1 from the start.
         batch_size: transitions per update and seed.
         buffer_capacity: transitions kept per seed.
+        overlap: collect the next round in a second process while this round's updates run; round ``k`` then acts with
+            the policy of round ``k - 1``'s start.
         threads: torch threads.
         flush_denormals: treat denormal numbers as zero; Adam's moments decay into them and slow the products down.
         matmul_precision: ``highest`` for float32 products, ``medium`` for bfloat16 products under float32.
@@ -87,6 +89,7 @@ class TrainerSettings(_Settings):
     residual_ramp_steps: NonNegative = 0
     batch_size: Positive = 128
     buffer_capacity: Capacity = 1_000_000
+    overlap: bool = False
     threads: Positive = 1
     flush_denormals: bool = True
     matmul_precision: Annotated[str, Field(pattern="^(highest|high|medium)$")] = "highest"

@@ -8,26 +8,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase, TensorDictSequential
-from torchrl.collectors import Collector
-from torchrl.envs.transforms import InitTracker
-from torchrl.envs.utils import ExplorationType
+from tensordict.nn import TensorDictModuleBase
 
 from rrl.algorithms import TD3
-from rrl.exploration import GaussianExploration, Ramp
-from rrl.keys import ACTION, OBSERVATION
-from rrl.random import seed_env
+from rrl.exploration import GaussianExploration
 from rrl.replay import StackedSampler
 
 from . import metrics
+from .background import Overlapped
 from .checkpointing import Checkpoints, newest_whole
-from .components import EpisodeInProgress, Holder
+from .components import Holder
 from .config import TrainerSettings
-from .diagnostics import experience_metrics, require_finite
+from .diagnostics import require_finite
 from .environment import EnvironmentFactory
 from .evaluation import Comparison
 from .evaluator import Evaluator
+from .experience import Experience, InTurn, Metrics
 from .identity import require_same_run
 from .interruption import Interruption
 from .loggers import CSVLogger, Guarded, MetricsLogger
@@ -39,8 +35,6 @@ from .timing import Stopwatch
 log = logging.getLogger(__name__)
 
 DEFAULT_EXPLORATION = partial(GaussianExploration, sigma=0.2)
-
-Metrics = dict[str, list[float]]
 
 
 class Trainer:
@@ -82,32 +76,15 @@ class Trainer:
         configure_process(settings)
         self.run_dir.mkdir(parents=True, exist_ok=True)
 
-        num_envs = settings.num_seeds * settings.envs_per_seed
-        self._first_seed = first_seed = settings.seed * settings.envs_per_seed
-        self.env = environment.make(num_envs)
-        seed_env(self.env, first_seed)
-        action_spec = self.env.full_action_spec[ACTION]
+        collect = Overlapped if settings.overlap else InTurn
+        self.experience: Experience = collect(settings, environment, exploration)
         self.agent = agent(
-            input_sizes={OBSERVATION: self.env.observation_spec[OBSERVATION].shape[-1]},
-            action_size=action_spec.shape[-1],
+            input_sizes=self.experience.sizes.inputs,
+            action_size=self.experience.sizes.action,
             num_seeds=settings.num_seeds,
             seed=settings.seed,
         )
-        self.exploration = exploration(spec=action_spec, num_slots=num_envs, seed=first_seed)
-        if "is_init" in self.exploration.in_keys:
-            self.env.append_transform(InitTracker())
-        self.ramp = Ramp()
-        self.behaviour = TensorDictSequential(self.agent.policy, self.exploration, self.ramp)
-        self.collector = Collector(
-            self.env,
-            self.behaviour,
-            frames_per_batch=num_envs * settings.steps_per_collection,
-            track_traj_ids=False,
-            use_buffers=False,
-            trust_policy=True,
-            auto_register_policy_transforms=False,
-            exploration_type=ExplorationType.RANDOM,
-        )
+        self.experience.follow(self.agent.policy)
         self.sampler = StackedSampler(settings.num_seeds, settings.seed, settings.batch_size)
         returns = {"n_step": settings.n_step, "gamma": self.agent.gamma} if settings.n_step > 1 else {}
         self.store = ReplayStore(self.run_dir, self.sampler, settings.buffer_capacity, **returns)
@@ -115,14 +92,12 @@ class Trainer:
         self.evaluator = Evaluator(scenarios or {"training": environment}, settings.evaluation)
         self.counters: dict[str, int] = {"env_steps": 0}
         self._resumed = False
-        self.episode = EpisodeInProgress(self.env, self.collector)
         self.checkpoints = Checkpoints(
             self.run_dir,
             settings.checkpoint.keep,
             {
                 "agent": self.agent,
-                "exploration": self.exploration,
-                "episode": self.episode,
+                "experience": self.experience,
                 "replay": self.store,
                 "sampler": self.sampler,
                 "progress": Holder(self.counters),
@@ -150,10 +125,11 @@ class Trainer:
         path, note, torn = newest_whole(self.run_dir, lambda note: self.store.check(note["transitions"]))
         require_same_run(note["config"], self.config)
         self.checkpoints.load(path, torn)
-        if self.episode.continues:
+        if self.experience.continues:
             self.store.set_pending_aside()
         else:
-            self.episode.start_anew(self._first_seed + self.store.log.count)
+            first_seed = self.settings.seed * self.settings.envs_per_seed
+            self.experience.start_anew(first_seed + self.store.log.count)
             self.store.keep_whole_rounds(self.settings.transitions_per_round)
         self._resumed = True
         return path
@@ -202,7 +178,7 @@ class Trainer:
             logger.finish()
         self.checkpoints.release()
         self.store.log.close()
-        for close in (self.evaluator.close, self.collector.shutdown):
+        for close in (self.evaluator.close, self.experience.close):
             try:
                 close()
             except Exception as error:
@@ -217,8 +193,7 @@ class Trainer:
     def _round(self) -> None:
         values = self._recover() if self.store.pending else self._collect_and_store()
         self.counters["env_steps"] += self.settings.steps_per_round
-        if hasattr(self.exploration, "step"):  # TorchRL's name for the decay of an exploration module
-            self.exploration.step(self.settings.steps_per_round)
+        self.experience.begin(self._next_collection())
         if self.env_steps >= self.settings.warmup_steps:
             with self.stopwatch("update"):
                 values |= self._update()
@@ -233,21 +208,25 @@ class Trainer:
 
     def _collect_and_store(self) -> Metrics:
         with self.stopwatch("collect"):
-            data = self._collect()
+            transitions, values = self.experience.collect(self.env_steps)
         with self.stopwatch("store"):
-            self.store.extend(data)
-        return experience_metrics(data, self.settings.num_seeds, self.env)
+            self.store.extend(transitions)
+        return values
+
+    def _next_collection(self) -> int | None:
+        """Where the next collection starts, if it may begin now; before a checkpoint everything comes to rest."""
+        rests = (
+            self._due(self.settings.checkpoint.every)
+            or self.env_steps >= self.settings.total_steps
+            or self.interruption.signal is not None
+            or self.store.pending > 0
+        )
+        return None if rests else self.env_steps
 
     def _recover(self) -> Metrics:
         """A round whose transitions come from the log: they were stored after the checkpoint that was resumed."""
         self.store.recover(self.settings.transitions_per_round)
         return {}
-
-    def _collect(self) -> TensorDictBase:
-        explores = self.settings.warmup_exploration or self.env_steps >= self.settings.warmup_steps
-        self.collector.exploration_type = ExplorationType.RANDOM if explores else ExplorationType.DETERMINISTIC
-        self.ramp.share = self.settings.residual_share(self.env_steps)
-        return self.collector.rollout()
 
     def _update(self) -> Metrics:
         with self.stopwatch("sample"):
@@ -266,7 +245,7 @@ class Trainer:
         self.store.log.forget(self.checkpoints.oldest_transition() - self.store.capacity)
 
     def _stop_if_asked(self) -> None:
-        if self.interruption.signal is not None:
+        if self.interruption.signal is not None and not self.experience.under_way:
             self._save()
             self.interruption.check()
 

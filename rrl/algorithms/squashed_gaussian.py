@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -102,3 +103,11 @@ class SquashedGaussianPolicy(TensorDictModuleBase):
             noise = self.generators.normal((loc.numel() // size // self.network.num_seeds, size))
             loc = loc + scale * noise.reshape(loc.shape)
         return tensordict.set(ACTION, torch.tanh(loc))
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """The generators' state."""
+        return self.generators.state_dict()
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Restore the generators' state."""
+        self.generators.load_state_dict(state)

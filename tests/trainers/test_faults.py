@@ -241,7 +241,7 @@ def test_physics_that_diverges_ends_the_episode_and_is_counted(make_trainer):
     trainer = make_trainer(environment=environment, num_seeds=2, total_steps=100, warmup_steps=40)
 
     def poison():
-        trainer.env.base_env._simulation.state[1, 3] = float("nan")
+        trainer.experience.env.base_env._simulation.state[1, 3] = float("nan")
 
     at_step(trainer, 60, poison)
     trainer.run()
@@ -265,7 +265,7 @@ class BadSensor(PointMass):
 
 def test_what_is_not_finite_is_not_stored(make_trainer, factory):
     trainer = make_trainer(environment=replace(factory, base=lambda num_envs=1: BadSensor([num_envs])))
-    at_step(trainer, 60, lambda: setattr(trainer.env.base_env, "broken", True))
+    at_step(trainer, 60, lambda: setattr(trainer.experience.env.base_env, "broken", True))
     with pytest.raises(FloatingPointError, match=r"the environment gave numbers that are not finite in .*observation"):
         trainer.run()
     assert trainer.store.log.count == 60

@@ -20,14 +20,14 @@ def test_the_ramp_leads_from_the_controller_to_the_whole_residual(make_trainer):
     trainer = make_trainer(total_steps=100, warmup_steps=40, residual_ramp_steps=80)
     largest = []
     for _ in range(5):
-        data = trainer._collect()
+        data = trainer.experience.rollout(trainer.env_steps)
         largest.append(float(data["action"].abs().max()))
         trainer.counters["env_steps"] += trainer.settings.steps_per_round
     trainer.close()
     assert largest[0] == 0.0
     # noise of standard deviation 0.3 on an untrained policy, times 0, 1/4, 1/2, 3/4, 1
     assert 0.0 < largest[1] < largest[4]
-    assert trainer.ramp.share == 1.0
+    assert trainer.experience.ramp.share == 1.0
 
 
 def test_exploration_decays_over_the_environment_steps_of_a_seed_and_resumes_where_it_was(make_trainer):
@@ -35,19 +35,19 @@ def test_exploration_decays_over_the_environment_steps_of_a_seed_and_resumes_whe
     first = make_trainer(exploration=decaying, total_steps=100, warmup_steps=40, num_seeds=2)
     first.run()
     first.close()
-    assert first.exploration.sigma == pytest.approx(0.2)
+    assert first.experience.exploration.sigma == pytest.approx(0.2)
     second = make_trainer(exploration=decaying, total_steps=200, warmup_steps=40, num_seeds=2)
     second.resume()
-    assert second.exploration.sigma == first.exploration.sigma
+    assert second.experience.exploration.sigma == first.experience.exploration.sigma
     second.run()
     second.close()
-    assert second.exploration.sigma == pytest.approx(0.1)
+    assert second.experience.exploration.sigma == pytest.approx(0.1)
 
 
 def test_the_stored_action_is_the_one_that_acted(make_trainer):
     trainer = make_trainer(total_steps=100, warmup_steps=40, residual_ramp_steps=80)
     trainer.counters["env_steps"] = 40
-    data = trainer._collect()
+    data = trainer.experience.rollout(trainer.env_steps)
     trainer.close()
     executed = (data["base_action"] + data["action"]).clamp(-1.0, 1.0)
     assert (data["next", "executed_action"] - executed).abs().max() < 0.5  # ControlNoise of 0.05 lies between
@@ -57,7 +57,7 @@ def test_the_stored_action_is_the_one_that_acted(make_trainer):
 def test_the_policy_reads_the_controllers_action_and_its_own_last_ones(make_trainer, factory):
     inputs = {"goal": Input(), "base_action": Input(), "previous_action": Input(scale=2.0)}
     trainer = make_trainer(environment=replace(factory, inputs=inputs, action_history=2), total_steps=200)
-    data = trainer._collect()  # [1, T]
+    data = trainer.experience.rollout(trainer.env_steps)  # [1, T]
     said = data["action"][0]
     goal, base_action, older, last = data["observation"][0].split(2, -1)
     assert torch.equal(goal, data["goal"][0])

@@ -62,7 +62,7 @@ def test_a_seed_fixes_the_run_to_the_last_bit(make_trainer):
 
 def test_the_buffer_holds_the_policys_action(make_trainer):
     trainer = make_trainer(total_steps=100, warmup_steps=40, warmup_exploration=False)
-    data = trainer._collect()
+    data = trainer.experience.rollout(trainer.env_steps)
     stored = trainer.store.interleave(data)
     assert torch.equal(stored["action"], torch.zeros_like(stored["action"]))
     assert data["base_action"].abs().max() > 0
