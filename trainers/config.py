@@ -69,6 +69,7 @@ class TrainerSettings(_Settings):
         buffer_capacity: transitions kept per seed.
         overlap: collect the next round in a second process while this round's updates run; round ``k`` then acts with
             the policy of round ``k - 1``'s start.
+        profile: time the parts of a collection too, and print at the end where a step's time went.
         threads: torch threads.
         flush_denormals: treat denormal numbers as zero; Adam's moments decay into them and slow the products down.
         matmul_precision: ``highest`` for float32 products, ``medium`` for bfloat16 products under float32.
@@ -90,6 +91,7 @@ class TrainerSettings(_Settings):
     batch_size: Positive = 128
     buffer_capacity: Capacity = 1_000_000
     overlap: bool = False
+    profile: bool = False
     threads: Positive = 1
     flush_denormals: bool = True
     matmul_precision: Annotated[str, Field(pattern="^(highest|high|medium)$")] = "highest"

@@ -21,6 +21,7 @@ from .components import EpisodeInProgress
 from .config import TrainerSettings
 from .diagnostics import experience_metrics
 from .environment import EnvironmentFactory
+from .profiling import measured, watch_collection
 from .replay_store import STORED
 
 Metrics = dict[str, list[float]]
@@ -125,6 +126,8 @@ class InTurn(Experience):
             exploration_type=ExplorationType.RANDOM,
         )
         self.episode = EpisodeInProgress(self.env, self.collector)
+        modules = {"policy": policy, "exploration": self.exploration}
+        self.stopwatch = watch_collection(self.env, modules) if self.settings.profile else None
 
     def rollout(self, env_steps: int) -> TensorDictBase:
         """Everything that the environment wrote in the round that starts at ``env_steps``, ``[S * E, T]``."""
@@ -143,8 +146,8 @@ class InTurn(Experience):
 
     def collect(self, env_steps: int) -> tuple[TensorDictBase, Metrics]:
         """Collect now."""
-        data = self.rollout(env_steps)
-        return data.select(*STORED), experience_metrics(data, self.settings.num_seeds, self.env)
+        data, seeds = self.rollout(env_steps), self.settings.num_seeds
+        return data.select(*STORED), experience_metrics(data, seeds, self.env) | measured(self.stopwatch, seeds)
 
     def begin(self, env_steps: int | None) -> None:
         """Nothing to do ahead."""

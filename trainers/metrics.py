@@ -27,7 +27,9 @@ SAFETY = "safety"
 ``safety/force``; in evaluations ``eval/<scenario>/safety_<limit>``."""
 
 TIME = "time"
-"""Seconds since the last row: ``time/collect``, ``store``, ``sample``, ``update``, ``evaluate``, ``checkpoint``."""
+"""Seconds since the last row: ``time/collect`` (waiting, where it overlaps), ``store``, ``sample``, ``update``,
+``evaluate``, ``checkpoint``, ``log``; with ``trainer.profile`` also the parts of a collection, ``time/collect/<part>``.
+"""
 
 
 def name(group: str, *parts: str) -> str:

@@ -28,6 +28,7 @@ from .identity import require_same_run
 from .interruption import Interruption
 from .loggers import CSVLogger, Guarded, MetricsLogger
 from .process import configure_process
+from .profiling import Profile, measured
 from .progress import Progress
 from .replay_store import ReplayStore
 from .timing import Stopwatch
@@ -72,7 +73,7 @@ class Trainer:
         self.config = dict(config or {"trainer": settings.model_dump()})
         self.interruption = Interruption()
         self.progress = progress or Progress.silent()
-        self.stopwatch = Stopwatch()
+        self.stopwatch, self.profile = Stopwatch(), Profile()
         configure_process(settings)
         self.run_dir.mkdir(parents=True, exist_ok=True)
 
@@ -197,7 +198,10 @@ class Trainer:
         if self.env_steps >= self.settings.warmup_steps:
             with self.stopwatch("update"):
                 values |= self._update()
-        self._log(values | self._times())
+        values |= measured(self.stopwatch, self.settings.num_seeds)
+        self.profile.add(values, self.settings.steps_per_round)
+        with self.stopwatch("log"):
+            self._log(values)
         if self._due(self.settings.evaluation.every) and self.env_steps < self.settings.total_steps:
             with self.stopwatch("evaluate"):
                 self._evaluate()
@@ -269,10 +273,6 @@ class Trainer:
     def _log_evaluation(self, scenario: str, comparisons: list[Comparison]) -> None:
         rows = [metrics.evaluation(scenario, c.summary()) for c in comparisons]
         self._log({name: [row[name] for row in rows] for name in rows[0]})
-
-    def _times(self) -> Metrics:
-        seeds = self.settings.num_seeds
-        return {metrics.name(metrics.TIME, section): [t] * seeds for section, t in self.stopwatch.lap().items()}
 
     def _log(self, values: metrics.Values) -> None:
         for logger in self.loggers:
