@@ -28,6 +28,7 @@ from rrl.trainers.experiments.plan import plan_jobs, plan_points
 from rrl.trainers.experiments.pool import run_jobs, tail
 from rrl.trainers.experiments.spec import Experiment, Settings, load_experiments, load_settings
 from rrl.trainers.experiments.store import Store
+from rrl.trainers.interruption import Interrupted
 from rrl.trainers.statistics import mean_interval
 
 FOLDER = Path(__file__).parent / "ablation"
@@ -35,7 +36,7 @@ COMMAND = ("scale", "launcher", "workers", "out")
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run what is missing and write the tables; returns the number of runs that failed."""
+    """Run what is missing and write the tables; returns the exit status."""
     settings, experiments = read(arguments)
     store = Store(Path(settings.out))
     points = plan_points(experiments, settings, partial(cli._compose, [FOLDER]))
@@ -43,6 +44,9 @@ def main(arguments: Sequence[str]) -> int:
     try:
         jobs = plan_jobs(points, store, settings.scales[settings.scale].stack, launcher.slots)
         ending = run_jobs(jobs, store, launcher, Display(Console()))
+    except Interrupted as interrupted:
+        print(f"stopped; what was done is in {store.out}, and the same command goes on")
+        return 128 + interrupted.signal
     finally:
         launcher.close()
     for job in ending.failed:
@@ -52,7 +56,7 @@ def main(arguments: Sequence[str]) -> int:
     command = " ".join(["python benchmarks/ablation.py", *arguments])
     (store.out / "ablation.md").write_text(f"{text}\n\nMade by `{command}`.\n", encoding="utf-8")
     print(text)
-    return len(ending.failed)
+    return 1 if ending.failed else 0
 
 
 def read(arguments: Sequence[str]) -> tuple[Settings, list[Experiment]]:
