@@ -13,6 +13,7 @@ MAY_CHANGE = (
     "logger.*",
     "render.*",
     "trainer.total_steps",
+    "trainer.profile",
     "trainer.threads",
     "trainer.evaluation.*",
     "trainer.checkpoint.*",

@@ -8,7 +8,6 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
 from torch import Tensor
-from torchrl.objectives import TD3Loss
 
 from rrl.algorithms.base import Agent, check
 from rrl.algorithms.ensemble import SUBSET, EnsembleTD3Loss, draw_subsets
@@ -34,6 +33,23 @@ class TargetSmoothing(TensorDictModuleBase):
         if noise is not None:
             tensordict.set(ACTION, tensordict.get(ACTION) + noise)
         return tensordict
+
+
+class TwinTD3Loss(EnsembleTD3Loss):
+    """TorchRL's TD3 itself, without what it computes and throws away.
+
+    :class:`torchrl.objectives.TD3Loss` evaluates both critics for the policy's loss, and differentiates both, to use
+    the first; and draws smoothing noise from the global generator even where it is multiplied by 0.
+    """
+
+    def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return minus the first critic's value."""
+        acting = tensordict.select(*self.actor_network.in_keys, strict=False)
+        with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
+            acting = self.actor_network(acting)
+        with self.qvalue_network_params[0].detach().to_module(self.qvalue_network, preserve_module_state=False):
+            value = self.qvalue_network(acting).get(self.tensor_keys.state_action_value).squeeze(-1)
+        return -value, {"state_action_value_actor": value.detach()}
 
 
 class TD3(Agent):
@@ -79,7 +95,7 @@ class TD3(Agent):
         self.num_critics, self.target_subset = num_critics, target_subset
         self.residual_penalty = residual_penalty
         actor = TensorDictModule(self.make_actor(action_size, squash=True), self.input_keys, [ACTION])
-        make_loss = TD3Loss if (num_critics, target_subset) == (2, 2) else EnsembleTD3Loss
+        make_loss = TwinTD3Loss if (num_critics, target_subset) == (2, 2) else EnsembleTD3Loss
         loss = make_loss(
             TensorDictSequential(actor, TargetSmoothing()),
             # a list keeps each critic's own initialisation: TD3Loss would redraw copies of a single one

@@ -72,7 +72,7 @@ def test_state_dict_restores_acting_and_the_next_update_to_the_last_bit(algorith
         assert torch.equal(value, parameters(other)[name]), name
 
 
-@pytest.mark.parametrize("algorithm", [SAC, DDPG])  # TorchRL's TD3Loss draws numbers that it multiplies by 0
+@each_algorithm
 def test_the_global_generator_is_left_alone(algorithm):
     agent = make_agent(algorithm, 2)
     before = torch.get_rng_state()

@@ -52,19 +52,20 @@ def test_the_policy_climbs_the_mean_of_all():
     torch.testing.assert_close(agent.actor_loss(batch)[0], -values.mean(0))
 
 
-def test_two_critics_of_which_the_least_counts_have_torchrls_value_loss():
+def test_two_critics_with_both_in_the_target_have_torchrls_losses_and_gradients():
     agent = moved(make_agent(num_seeds=2, last_layer_bound=0.1))
     batch = prepared(agent)
-    ours = copy.deepcopy(agent.loss)
-    ours.__class__ = EnsembleTD3Loss
-    for mine, torchrls in zip(ours.value_loss(batch), agent.loss.value_loss(batch), strict=True):
-        torch.testing.assert_close(mine, torchrls)
-
-
-def test_two_critics_with_both_in_the_target_are_td3_itself():
-    assert type(make_agent().loss) is TD3Loss
+    params = [*agent._critic_params, *agent._actor_params]
+    for method in ("value_loss", "actor_loss"):
+        mine, torchrls = getattr(agent.loss, method)(batch), getattr(TD3Loss, method)(agent.loss, batch)
+        torch.testing.assert_close(mine[0], torchrls[0])
+        gradients = [torch.autograd.grad(loss.sum(), params, allow_unused=True) for loss, _ in (mine, torchrls)]
+        for one, other in zip(*gradients, strict=True):
+            assert (one is None) == (other is None)
+            if one is not None:
+                torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-5)
+    assert SUBSET not in batch["next"]
     assert type(make_agent(num_critics=2, target_subset=1).loss) is EnsembleTD3Loss
-    assert SUBSET not in prepared(make_agent())["next"]
 
 
 def test_subsets_have_their_size_and_every_critic_its_turn():
