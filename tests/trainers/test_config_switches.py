@@ -51,7 +51,7 @@ def learned(run_dir, *overrides):
     config["trainer"] |= SMALL
     with assembly.trainer(config, run_dir) as trainer:
         trainer.run()
-        return trainer.agent.policy_of(0).state_dict()
+        return dict(trainer.agent.policy_of(0).named_parameters())
 
 
 @pytest.fixture(scope="module")
