@@ -39,6 +39,7 @@ def build(out: Path) -> None:
             setattr(trainers, name, getattr(trainers, name))  # they are loaded at first use
         for name in names:
             import_module(name)
+        warnings.simplefilter("ignore", DeprecationWarning)  # of what the builder imports itself
         warnings.simplefilter("error", UserWarning)
         warnings.filterwarnings("ignore", message="The module specification .* has already been added")
         # what our classes inherit: TorchRL imports these names for its type checker alone

@@ -27,6 +27,8 @@ class Point(EnvBase):
         )
         self.action_spec = Bounded(-1.0, 1.0, [2])
         self.reward_spec = Unbounded([1])
+        flag = Binary(1, [1], dtype=torch.bool)
+        self.full_done_spec = Composite(done=flag, truncated=flag.clone(), terminated=flag.clone())
 
     def _reset(self, tensordict=None, **kwargs):
         self.position, self.goal = (torch.rand(2, 2, generator=self.generator) - 0.5).unbind(0)

@@ -12,12 +12,13 @@
 
   function template() {
     const style = getComputedStyle(document.documentElement);
-    const [ink, line, panel] = ["--ink", "--line", "--panel"].map((name) => style.getPropertyValue(name).trim());
+    const [ink, soft, line, panel] = ["--ink", "--soft", "--line", "--panel"].map((n) => style.getPropertyValue(n).trim());
     const axis = { gridcolor: line, zerolinecolor: line, linecolor: line, automargin: true };
     return { layout: {
       paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", xaxis: axis, yaxis: axis,
       colorway: ["#2f7fc1", "#d9622b", "#3a9d6a", "#9467bd", "#c59a1a", "#c2508b", "#4fa3a5", "#8c6d5a"],
       font: { color: ink, family: "system-ui, sans-serif", size: 13 }, margin: { l: 56, r: 16, t: 40, b: 48 },
+      modebar: { bgcolor: "rgba(0,0,0,0)", color: soft, activecolor: ink },
       hoverlabel: { bgcolor: panel, bordercolor: line, font: { color: ink } },
     } };
   }

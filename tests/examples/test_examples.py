@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from torchrl.envs.utils import check_env_specs
 
 from rrl.trainers import EnvironmentFactory
 
@@ -57,6 +58,10 @@ def test_example_trains(name, load, tmp_path):
 
 def test_the_transforms_alone_in_torchrls_own_loop(load):
     assert load("own_loop").main(total_steps=60) < 0.0
+
+
+def test_the_examples_environment_keeps_its_specs(load):
+    check_env_specs(load("point").Point())
 
 
 def test_every_example_is_run():

@@ -4,8 +4,10 @@ import json
 import os
 import subprocess
 import sys
+from importlib import import_module
 
 import pytest
+from torchrl.envs.utils import check_env_specs
 
 from rrl.trainers.new import create
 
@@ -45,7 +47,9 @@ def project(tmp_path_factory):
 
 
 def test_a_new_project_trains_and_is_evaluated(project):
-    result = rrl("train", "env=my_project", "controller=my_project", "safety=step", *SMALL, cwd=project)
+    result = rrl(
+        "train", "env=my_project", "controller=my_project", "safety=step", "safety.step.size=0.5", *SMALL, cwd=project
+    )
     assert result.returncode == 0, result.stderr
     run_dir = next(project.glob("outputs/my_project-residual/*"))
     results = (run_dir / "results.json").read_text()
@@ -66,6 +70,12 @@ def test_every_placeholder_is_replaced(tmp_path):
         assert "__project__" not in path.read_text() + str(path)
         assert path.suffix in (".py", ".md", ".yaml")
     assert (tmp_path / "reach/configs/env/reach.yaml").is_file()
+
+
+def test_the_new_environment_keeps_its_specs(tmp_path, monkeypatch):
+    create("reaching", tmp_path)
+    monkeypatch.syspath_prepend(tmp_path / "reaching")
+    check_env_specs(import_module("reaching.env").Point())
 
 
 @pytest.mark.parametrize("name", ["my-project", "1st", "class", "rrl", "configs"])
