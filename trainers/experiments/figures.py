@@ -50,17 +50,12 @@ def _curves(experiment: Experiment, finding: Finding) -> Figure:
 
 def _controllers(axis: Axes, finding: Finding, entry: str, unit: float) -> None:
     """The controllers alone, dashed: one in its own colour, several each in the colour of what learns on top of it."""
-    having = [i for i, outcome in enumerate(finding.outcomes) if not _acts_alone(outcome)]
+    having = [i for i, outcome in enumerate(finding.outcomes) if not outcome.acts_alone]
     for n, i in enumerate(having):
         curve = finding.outcomes[i].curve(f"controller_{entry}").scaled(unit)
         colour = CONTROLLER_COLOUR if len(having) == 1 else COLOURS[i % len(COLOURS)]
         label = "controller alone" if len(having) == 1 else "the controller below it alone"
         axis.plot(curve.steps, curve.mean, "--", color=colour, lw=1.4, label=label if n == 0 else None)
-
-
-def _acts_alone(outcome: Outcome) -> bool:
-    """Whether the policy has no controller below it."""
-    return outcome.point.config["controller"]["_target_"].endswith(".ZeroController")
 
 
 def _sweep(experiment: Experiment, finding: Finding) -> Figure:
@@ -105,12 +100,14 @@ def _table(experiment: Experiment, finding: Finding) -> Figure:
     figure = Figure(figsize=(11.0, 1.1 + 0.4 * len(rows)), layout="constrained")
     axis = figure.subplots()
     axis.axis("off")
-    table = axis.table(rows, colLabels=header, loc="center", cellLoc="left", edges="horizontal")
+    table = axis.table(rows, colLabels=header, loc="center", cellLoc="left", colLoc="left", edges="horizontal")
     table.auto_set_font_size(False)
     table.set_fontsize(9)
     table.auto_set_column_width(range(len(header)))
     table.scale(1, 1.6)
-    figure.suptitle(f"{experiment.title} ({experiment.paper})", fontsize=11)
+    first = finding.outcomes[0]
+    said = f"{len(first.seeds)} seeds, the same {first.episodes} episodes for each and for the controller"
+    figure.suptitle(f"{experiment.title} ({experiment.paper})\n{said}; intervals of Clopper and Pearson", fontsize=10)
     return figure
 
 
@@ -133,7 +130,7 @@ def _finish(figure: Figure, axes: Sequence[Axes], experiment: Experiment, findin
     figure.legend(handles, labels, loc="outside lower center", ncols=min(3, len(labels)), frameon=False, fontsize=9)
     counts = sorted({len(outcome.seeds) for outcome in finding.outcomes})
     seeds = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
-    figure.suptitle(f"{experiment.title} ({experiment.paper}): {seeds} seeds, {INTERVAL}", fontsize=10)
+    figure.suptitle(f"{experiment.title} ({experiment.paper})\n{seeds} seeds, {INTERVAL}", fontsize=10)
 
 
 def _label(experiment: Experiment, outcome: Outcome) -> str:

@@ -45,6 +45,11 @@ class Outcome:
         """Scenarios of the final evaluation."""
         return list(self.runs[0].results)
 
+    @property
+    def acts_alone(self) -> bool:
+        """Whether the policy has no controller below it."""
+        return str(self.point.config["controller"]["_target_"]).endswith(".ZeroController")
+
     @cached_property
     def episodes(self) -> int:
         """Frozen episodes of each scenario in the final evaluation."""

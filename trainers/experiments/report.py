@@ -8,7 +8,6 @@ from pathlib import Path
 
 import yaml
 
-from ..layout import REPORT
 from ..page import Page
 from ..versions import versions
 from .claims import Verdict, criterion
@@ -29,7 +28,7 @@ def write_report(
     ending: Ending,
     out: Path,
 ) -> Path:
-    """Write ``report.html`` below ``out``; the figures enter as SVG."""
+    """Write the HTML file ``out``; the figures enter as SVG."""
     page = Page("Residual reinforcement learning for robot control: the experiments again")
     scale = settings.scales[settings.scale]
     page.text(
@@ -47,7 +46,7 @@ def write_report(
     _configurations(page, experiments, findings)
     page.section("Versions")
     page.table(["package", "version"], [[name, version] for name, version in versions().items()])
-    return page.write(out / REPORT)
+    return page.write(out)
 
 
 def _claims(page: Page, verdicts: Sequence[Verdict]) -> None:

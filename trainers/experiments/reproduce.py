@@ -50,13 +50,12 @@ def reproduce(
         RuntimeError: if runs failed; everything else is done and reported.
     """
     settings = load_settings(folders, changes)
-    experiments = load_experiments((), folders)
-    wanted = {e.name for e in load_experiments(names, folders)}
+    experiments = load_experiments(names, folders)
     store = Store(Path(settings.out))
     points = plan_points(experiments, settings, compose)
     launcher = launchers.make(settings.launcher, settings.workers)
     try:
-        jobs = plan_jobs([p for p in points if p.experiment in wanted], store, _stack(settings), launcher.slots)
+        jobs = plan_jobs(points, store, settings.scales[settings.scale].stack, launcher.slots)
         _announce(jobs, store, launcher.slots, console)
         ending = run_jobs(jobs, store, launcher, Display(console))
     except Interrupted:
@@ -65,13 +64,10 @@ def reproduce(
         raise
     finally:
         launcher.close()
-    report = _show(experiments, points, store, settings, ending, console)
+    path = store.out / ("report.html" if not names else f"report-{'-'.join(names)}.html")
+    report = _show(experiments, points, store, settings, ending, path, console)
     _complain(ending, console)
     return report
-
-
-def _stack(settings: Settings) -> int:
-    return settings.scales[settings.scale].stack
 
 
 def _announce(jobs: Sequence[Job], store: Store, slots: int, console: Console) -> None:
@@ -91,9 +87,10 @@ def _show(
     store: Store,
     settings: Settings,
     ending: Ending,
+    out: Path,
     console: Console,
 ) -> Path:
-    """Draw and report everything that the store has at this scale."""
+    """Draw and report what is finished."""
     findings: Findings = {name: finding for name, finding in gather(points, store).items() if finding.outcomes}
     shown = [experiment for experiment in experiments if experiment.name in findings]
     figures = {e.name: draw(e, findings[e.name], store.out / "figures") for e in shown}
@@ -101,7 +98,7 @@ def _show(
     video = rescue_video(findings, console)
     if verdicts:
         console.print(_verdict_table(verdicts))
-    report = write_report(shown, findings, figures, verdicts, video, settings, ending, store.out)
+    report = write_report(shown, findings, figures, verdicts, video, settings, ending, out)
     for path in (*figures.values(), report):
         console.print(f"  {os.path.relpath(path)}", highlight=False, soft_wrap=True)
     return report

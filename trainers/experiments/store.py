@@ -13,7 +13,7 @@ Layout::
                     results.json                 the final evaluation: written last, so that it marks a finished run
                     checkpoints/, transitions/   to go on from
         figures/                                 PNG and SVG
-        report.html
+        report.html                              report-NAME.html for experiments called by name
 
 A key is a checksum of the resolved configuration without what does not matter to the result (seeds, threads, loggers).
 Whoever changes a default gets a new key and new runs; the old ones stay and nothing reads them.

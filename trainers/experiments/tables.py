@@ -33,7 +33,7 @@ def final_rows(experiment: Experiment, finding: Finding) -> Table:
     """Final return and success of every arm at every setting, with mean and interquartile mean over seeds."""
     setting = [experiment.sweep.key.rpartition(".")[2]] if experiment.sweep else []
     header = ["arm", *setting, "seeds", "return: mean [95 % CI]", "return: IQM [bootstrap 95 %]", "controller's return"]
-    header += ["success: mean [95 % CI]", "success: IQM [bootstrap 95 %]", "controller's success"]
+    header += ["success [%]: mean [95 % CI]", "success [%]: IQM [bootstrap 95 %]", "controller's success [%]"]
     return header, [_final_row(outcome, bool(setting)) for outcome in finding.outcomes]
 
 
@@ -69,7 +69,8 @@ def _final_row(outcome: Outcome, with_setting: bool) -> list[str]:
         values = outcome.final(entry)
         bounds = (0.0, 100.0) if entry == "success" else (-np.inf, np.inf)
         mean = f"{values.mean() * unit:.2f} {_interval(mean_interval(values), unit, bounds)}"
-        cells += [mean, _iqm([values], unit), f"{outcome.final(f'controller_{entry}').mean() * unit:.2f}"]
+        controller = "none" if outcome.acts_alone else f"{outcome.final(f'controller_{entry}').mean() * unit:.2f}"
+        cells += [mean, _iqm([values], unit), controller]
     return cells
 
 

@@ -40,7 +40,7 @@ def _most_rescues(findings: Findings) -> tuple[Run, int] | None:
     best, most = None, 0.0
     for finding in findings.values():
         for outcome in finding.outcomes:
-            for run in outcome.runs if outcome.knows("rescues") else ():
+            for run in outcome.runs if outcome.knows("rescues") and not outcome.acts_alone else ():
                 scenario = run.results[run.followed]
                 rescues = [scenario[str(seed)]["rescues"] for seed in run.seeds]
                 if run.config["env"].get("renderer") and max(rescues) > most:
