@@ -108,7 +108,8 @@ def _quantity(seeds: Sequence[Mapping[str, float]], entry: str) -> str:
 def _curves(page: Page, runs: Sequence[Run]) -> None:
     followed = ", ".join(dict.fromkeys(run.followed for run in runs))
     band = (
-        "Thick lines are means over seeds, bands the mean's 95 % confidence interval (Student's t), thin lines seeds."
+        "Thick lines are means over seeds, bands the mean's 95 % confidence interval (Student's t), thin lines seeds. "
+        "The last point of a finished run is its final evaluation, which may have more episodes than those before."
     )
     sections = (
         ("Learning", LEARNING, f"Evaluation on frozen episodes during training, scenario {followed}. {band}"),

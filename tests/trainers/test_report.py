@@ -123,6 +123,9 @@ def test_a_run_that_is_not_finished_is_shown_as_far_as_it_is(tmp_path):
     run = make_run(tmp_path / "run", finished=False)
     source = write_report(find_runs([run]), tmp_path / "page.html").read_text()
     assert "has no final evaluation yet" in source
+    with (run / "metrics.csv").open("a") as file:
+        file.write("1050,0,loss/loss_cr")  # the moment that it is read in
+    write_report(find_runs([run]), tmp_path / "page.html")
     (run / "metrics.csv").unlink()
     assert "0 of 1000" in write_report(find_runs([run]), tmp_path / "page.html").read_text()
 

@@ -51,19 +51,20 @@ class CSVLogger(MetricsLogger):
 
 
 def read_metrics(run_dir: Path) -> dict[str, dict[int, list[tuple[int, float]]]]:
-    """Read a run's ``metrics.csv``: metric, then seed, then ``(env_steps, value)`` in order."""
+    """Read what is written of a run's ``metrics.csv``: metric, then seed, then ``(env_steps, value)`` in order."""
     out: dict[str, dict[int, list[tuple[int, float]]]] = {}
-    with (run_dir / CSVLogger.FILE).open(newline="") as file:
-        for row in csv.DictReader(file):
-            series = out.setdefault(row["metric"], {}).setdefault(int(row["seed"]), [])
-            series.append((int(row[STEP_AXIS]), float(row["value"])))
+    for env_steps, seed, metric, value in _whole_rows(run_dir / CSVLogger.FILE):
+        out.setdefault(metric, {}).setdefault(int(seed), []).append((int(env_steps), float(value)))
     return out
 
 
 def _rows_until(path: Path, env_steps: int) -> list[list[str]]:
-    """Whole rows up to ``env_steps``; a row torn by a crash is dropped."""
-    if not path.exists():
-        return []
-    with path.open(newline="") as file:
-        rows = [row for row in csv.reader(file) if len(row) == 4 and row[0].isdigit()]
-    return [row for row in rows if int(row[0]) <= env_steps]
+    """Whole rows up to ``env_steps``."""
+    return [row for row in _whole_rows(path) if int(row[0]) <= env_steps] if path.exists() else []
+
+
+def _whole_rows(path: Path) -> list[list[str]]:
+    """All rows but the header, and one torn by a crash or not yet written to its end."""
+    text = path.read_text()
+    rows = csv.reader(text[: text.rfind("\n") + 1].splitlines())
+    return [row for row in rows if len(row) == 4 and row[0].isdigit()]
