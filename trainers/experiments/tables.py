@@ -19,10 +19,20 @@ TRIALS = 20
 
 def success_rows(experiment: Experiment, finding: Finding) -> Table:
     """Counts of success by scenario, controller against every arm on the same episodes."""
-    header = ["scenario", "arm", "succeeded (all seeds)", "exact 95 % interval", "of 20", "controller", "of 20"]
+    setting = _setting(experiment)
+    header = [
+        "scenario",
+        "arm",
+        *setting,
+        "succeeded (all seeds)",
+        "exact 95 % interval",
+        "of 20",
+        "controller",
+        "of 20",
+    ]
     header += ["rescued / broken", "McNemar's p, by seed"]
     return header, [
-        _success_row(outcome, scenario)
+        _success_row(outcome, scenario, bool(setting))
         for outcome in finding.outcomes
         if outcome.knows("success")
         for scenario in outcome.scenarios
@@ -31,7 +41,7 @@ def success_rows(experiment: Experiment, finding: Finding) -> Table:
 
 def final_rows(experiment: Experiment, finding: Finding) -> Table:
     """Final return and success of every arm at every setting, with mean and interquartile mean over seeds."""
-    setting = [experiment.sweep.key.rpartition(".")[2]] if experiment.sweep else []
+    setting = _setting(experiment)
     header = ["arm", *setting, "seeds", "return: mean [95 % CI]", "return: IQM [bootstrap 95 %]", "controller's return"]
     header += ["success [%]: mean [95 % CI]", "success [%]: IQM [bootstrap 95 %]", "controller's success [%]"]
     return header, [_final_row(outcome, bool(setting)) for outcome in finding.outcomes]
@@ -42,7 +52,12 @@ def overall_iqm(outcomes: Sequence[Outcome], entry: str) -> str:
     return _iqm([outcome.final(entry) for outcome in outcomes], 100.0 if entry.endswith("success") else 1.0)
 
 
-def _success_row(outcome: Outcome, scenario: str) -> list[str]:
+def _setting(experiment: Experiment) -> list[str]:
+    """The column of the sweep's values, if there is a sweep."""
+    return [experiment.sweep.key.rpartition(".")[2]] if experiment.sweep else []
+
+
+def _success_row(outcome: Outcome, scenario: str, with_setting: bool) -> list[str]:
     count = outcome.episodes
     rates = outcome.final("success", scenario)
     solved, trials = round(float(rates.sum()) * count), count * len(rates)
@@ -51,6 +66,7 @@ def _success_row(outcome: Outcome, scenario: str) -> list[str]:
     return [
         scenario,
         outcome.point.arm,
+        *([f"{outcome.point.value:g}"] if with_setting else []),
         f"{solved} of {trials}",
         _percent(exact_interval(solved, trials)),
         f"{TRIALS * solved / trials:.1f}",

@@ -7,11 +7,15 @@ import numpy as np
 import pytest
 import yaml
 
+from browser import needs_chromium, opened
 from rrl.trainers.experiments.claims import CLAIMS, criterion, judge
 from rrl.trainers.experiments.figures import draw
 from rrl.trainers.experiments.outcomes import Finding, Outcome
-from rrl.trainers.experiments.plan import Point
-from rrl.trainers.experiments.spec import Experiment
+from rrl.trainers.experiments.plan import Job, Point
+from rrl.trainers.experiments.pool import Ending
+from rrl.trainers.experiments.report import write_report
+from rrl.trainers.experiments.spec import Experiment, Settings
+from rrl.trainers.experiments.store import StoredRun
 from rrl.trainers.experiments.tables import final_rows, success_rows
 from rrl.trainers.runs import Run
 
@@ -48,7 +52,7 @@ def outcome(tmp_path):
         trainer = {"seed": 0, "num_seeds": 3, "total_steps": 500, "evaluation": {"final_episodes": EPISODES}}
         config = {"trainer": trainer, "env": {"scenarios": {name: {} for name in results}}}
         config["controller"] = {"_target_": "rrl.controllers.ProportionalController"}
-        (path / "config.yaml").write_text(yaml.safe_dump(config))
+        (path / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
         point = Point("some", arm, value, "key", (), config, SEEDS)
         return Outcome(point, (Run(path, path.name),))
 
@@ -147,7 +151,36 @@ def test_figures_and_tables_of_a_store(outcome, figure, tmp_path):
     assert [len(row) for row in rows] == [len(header)] * 2
     assert rows[1][:3] == ["residual RL", "1", "3"]
     header, rows = success_rows(experiment, finding)
-    assert rows[1][2:5] == ["30 of 60", "[37%, 63%]", "10.0"]
+    assert rows[1][2:6] == ["1", "30 of 60", "[37%, 63%]", "10.0"]
+
+
+@needs_chromium
+def test_the_report_opens_offline_and_without_errors(outcome, tmp_path):
+    experiments = [
+        Experiment(name="table", title="Table", paper="P", figure="table", arms={"residual RL": ()}),
+        Experiment(name="success-real", title="Curves", paper="P", figure="curves", arms={"residual RL": ()}),
+    ]
+    made = outcome(scenarios={"misaligned": {}, "aligned": {"success": 0.5}})
+    (made.runs[0].path / "run.json").write_text(json.dumps({"overrides": ["env=mars", "a.b={c: 1}"]}))
+    findings = {e.name: Finding(e.name, (made,)) for e in experiments}
+    figures = {e.name: draw(e, findings[e.name], tmp_path / "figures") for e in experiments}
+    scale = {"quick": {"seeds": 3, "stack": 3}}
+    settings = Settings(scale="quick", launcher="local", workers=1, out="out", scales=scale)
+    failed = Job(StoredRun(tmp_path / "lost/seed-0", "key", (0,)), (), 100)
+    ending = Ending(failed=[failed])
+    path = write_report(experiments, findings, figures, judge(findings), None, settings, ending, tmp_path / "r.html")
+    with opened(path) as page:
+        text = page.inner_text("body")
+        for expected in (
+            "6b. Aligned",
+            "does not hold",
+            "30 of 60",
+            "lost/seed-0",
+            "rrl train env=mars 'a.b={c: 1}'",
+            "torch",
+        ):
+            assert expected in page.content() or expected in text, expected
+        assert page.evaluate("[...document.images].every(image => image.naturalWidth > 0)")
 
 
 def test_an_outcome_puts_the_groups_of_seeds_together(outcome):
@@ -156,7 +189,7 @@ def test_an_outcome_puts_the_groups_of_seeds_together(outcome):
     moved = {name: {str(int(s) + 3): v for s, v in entry.items()} for name, entry in results.items()}
     (other.runs[0].path / "results.json").write_text(json.dumps(moved))
     config = {**other.point.config, "trainer": {**other.point.config["trainer"], "seed": 3}}
-    (other.runs[0].path / "config.yaml").write_text(yaml.safe_dump(config))
+    (other.runs[0].path / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
     text = (other.runs[0].path / "metrics.csv").read_text()
     for seed in (2, 1, 0):
         text = text.replace(f",{seed},eval", f",{seed + 3},eval")

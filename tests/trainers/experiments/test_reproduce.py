@@ -104,6 +104,7 @@ def test_ctrl_c_saves_the_runs_and_the_same_command_goes_on(project, run):
     assert sorted((run_dir / "checkpoints").iterdir())[-1].name == f"checkpoint-{reached:012d}"
 
 
+@pytest.mark.slow
 def test_a_killed_command_takes_its_runs_along_and_the_next_one_goes_on(project):
     """SIGKILL for the command; its run gets SIGTERM, saves itself and ends."""
     long_experiment(project)
