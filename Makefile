@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: train test test-slow lint docs controllers reproduce faults soak ablation clean
+.PHONY: train test test-slow lint docs controllers reproduce faults soak ablation benchmark clean
 
 train: $(VENV)/installed            ## train residual TD3 on the misaligned insertion task, five seeds side by side
 	$(BIN)/rrl train trainer.num_seeds=5
@@ -36,6 +36,11 @@ soak: $(VENV)/installed             ## train for ten minutes and watch memory, f
 
 ablation: $(VENV)/installed         ## what every switch for sample efficiency does, added to td3 and removed from td3-efficient
 	$(BIN)/python -W ignore benchmarks/ablation.py
+
+benchmark: $(VENV)/installed        ## training speed against Stable-Baselines3, SBX, CleanRL's and TorchRL's TD3
+	$(BIN)/pip install --disable-pip-version-check --quiet --constraint constraints.txt --editable ".[benchmark]"
+	$(BIN)/python -W ignore -m benchmarks.speed
+	$(BIN)/python -W ignore -m benchmarks.speed --seeds 10
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)

@@ -2,11 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from types import FunctionType, MethodType
 from typing import Any
 
 import torch
+
+
+def compiler_problem() -> str | None:
+    """Why nothing can be compiled on this machine; None if it can."""
+    from torch._inductor.cpp_builder import get_cpp_compiler
+
+    try:
+        get_cpp_compiler()
+    except Exception as error:  # of an internal kind that moves between versions
+        return f"{type(error).__name__}: {error}".strip().partition("\n")[0]
+    return None
+
+
+def compile_where_possible(steps: Sequence[Callable[..., Any]]) -> list[Callable[..., Any]]:
+    """:func:`compile_update` for each of ``steps``; as they are, with one warning, where there is no C++ compiler."""
+    problem = compiler_problem()
+    if problem is None:
+        return [compile_update(step) for step in steps]
+    warnings.warn(
+        f"the update is not compiled and takes two to three times as long: no C++ compiler ({problem}); install g++, "
+        "or set compiled=false to do without",
+        stacklevel=2,
+    )
+    return list(steps)
 
 
 def compile_update(update: Callable[..., Any]) -> Callable[..., Any]:
@@ -20,6 +47,7 @@ def compile_update(update: Callable[..., Any]) -> Callable[..., Any]:
         update: a bound method.
     """
     torch._dynamo.config.trace_autograd_ops = True
+    os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(_cache() / "inductor"))  # PyTorch's own is in /tmp
     return torch.compile(
         _with_own_code(update),
         fullgraph=True,
@@ -35,3 +63,7 @@ def _with_own_code(method: Any) -> Callable[..., Any]:
     f = method.__func__
     copy = FunctionType(f.__code__.replace(), f.__globals__, f.__name__, f.__defaults__, f.__closure__)
     return MethodType(copy, method.__self__)
+
+
+def _cache() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rrl"

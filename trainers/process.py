@@ -18,5 +18,10 @@ def configure_process(settings: TrainerSettings) -> None:
     torch.manual_seed(settings.seed)
     torch.set_num_threads(settings.threads)
     torch.set_float32_matmul_precision(settings.matmul_precision)
+    if settings.matmul_precision == "medium" and not torch.cpu._is_amx_tile_supported():
+        warnings.warn(
+            "trainer.matmul_precision=medium: this processor has no AMX, so that bfloat16 products gain nothing",
+            stacklevel=2,
+        )
     if settings.flush_denormals and not torch.set_flush_denormal(True):
         warnings.warn("this processor cannot flush denormal numbers; going on without", stacklevel=2)

@@ -15,7 +15,7 @@ from torchrl.objectives import LossModule, SoftUpdate
 from torchrl.objectives.utils import ValueEstimators
 
 from rrl.adam import Adam
-from rrl.compilation import compile_update
+from rrl.compilation import compile_where_possible
 from rrl.keys import ACTION
 from rrl.networks import StackedMLP
 from rrl.random import SlotGenerators
@@ -151,7 +151,7 @@ class Agent(nn.Module, ABC):
         self.critic_optimizer = Adam(self._critic_params, self.critic_lr)
         self.actor_optimizer = Adam(self._actor_params, self.actor_lr)
         steps = self._critic_step, self._critic_and_target_step, self._critic_and_policy_step
-        self._steps: Sequence[Step] = [compile_update(step) for step in steps] if self.compiled else steps
+        self._steps: Sequence[Step] = compile_where_possible(steps) if self.compiled else steps
 
     def start_from(self, other: Agent, k: int) -> None:
         """Take the networks of learner ``k`` of ``other`` as every learner's initial weights; optimisers stay fresh.

@@ -1,0 +1,294 @@
+"""One training run of one contender in a process of its own: ``python -m benchmarks.speed.contenders NAME ...``."""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import tempfile
+import time
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from .meter import Meter
+from .task import Config, PlainInsertion, configuration, success_rate
+
+FAST = [
+    "algorithm.agent.compiled=true",
+    "trainer.overlap=true",
+    "trainer.steps_per_collection=50",
+    "trainer.matmul_precision=medium",
+]
+PLAIN = [
+    "algorithm.agent.compiled=false",
+    "trainer.overlap=false",
+    "trainer.steps_per_collection=1",
+    "trainer.matmul_precision=highest",
+]
+
+
+def ours(config: Config, options: argparse.Namespace, meter: Meter) -> None:
+    """``rrl train`` without table and video."""
+    from rrl.trainers import assembly
+
+    trainer = assembly.trainer(config, Path(tempfile.mkdtemp()))
+    process = getattr(trainer.experience, "_process", None)
+    meter.processes = [] if process is None else [process.pid]
+    one_round, evaluate = trainer._round, trainer.evaluator.during_training
+
+    def observed() -> None:
+        one_round()
+        meter.step(trainer.env_steps)
+
+    def evaluated(*args: Any) -> Any:
+        start = time.perf_counter()
+        scenario, comparisons = evaluate(*args)
+        rates = [comparison.summary()["success"] for comparison in comparisons]
+        meter.evaluated(float(np.mean(rates)), time.perf_counter() - start)
+        return scenario, comparisons
+
+    trainer._round, trainer.evaluator.during_training = observed, evaluated  # type: ignore[method-assign]
+    with trainer:
+        trainer.run()
+
+
+def stable_baselines(config: Config, options: argparse.Namespace, meter: Meter, library: str = "sb3") -> None:
+    """Stable-Baselines3's TD3, or SBX's."""
+    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.noise import NormalActionNoise
+
+    if library == "sbx":
+        from sbx import TD3
+    else:
+        from stable_baselines3 import TD3
+    agent, trainer = config["algorithm"]["agent"], config["trainer"]
+    env, test = PlainInsertion(config, trainer["seed"]), PlainInsertion(config, 0)
+
+    class Observer(BaseCallback):  # type: ignore[misc]
+        def _on_step(self) -> bool:
+            meter.step(self.num_timesteps - 1)  # called before the updates of this step
+            _evaluate(options, meter, test, lambda o: self.model.predict(o, deterministic=True)[0], self.num_timesteps)
+            return True
+
+    smoothing = {"target_policy_noise": agent["target_noise"], "target_noise_clip": agent["target_noise_clip"]}
+    model = TD3(
+        "MlpPolicy",
+        env,
+        learning_rate=agent["actor_lr"],
+        learning_starts=trainer["warmup_steps"],
+        batch_size=trainer["batch_size"],
+        tau=agent["tau"],
+        gamma=agent["gamma"],
+        train_freq=1,
+        gradient_steps=1,
+        policy_delay=agent["policy_delay"],
+        action_noise=NormalActionNoise(np.zeros(3), np.full(3, config["algorithm"]["exploration"]["sigma"])),
+        policy_kwargs={"net_arch": list(agent["hidden"])},
+        seed=trainer["seed"],
+        **(smoothing if library == "sb3" else {}),
+    )
+    model.learn(trainer["total_steps"], callback=Observer(), log_interval=10**6)
+
+
+def sbx(config: Config, options: argparse.Namespace, meter: Meter) -> None:
+    """SBX: Stable-Baselines3's loop with updates in JAX."""
+    stable_baselines(config, options, meter, "sbx")
+
+
+class _Networks:
+    """What the two hand-written TD3s below have in common."""
+
+    def __init__(self, agent: Config, inputs: int) -> None:
+        def mlp(size: int, out: int, *last: nn.Module) -> nn.Sequential:
+            sizes = [size, *agent["hidden"]]
+            hidden = [m for a, b in pairwise(sizes) for m in (nn.Linear(a, b), nn.ReLU())]
+            return nn.Sequential(*hidden, nn.Linear(sizes[-1], out), *last)
+
+        self.actor = mlp(inputs, 3, nn.Tanh())
+        self.critics = [mlp(inputs + 3, 1) for _ in range(2)]
+        nn.init.zeros_(self.actor[-2].weight)
+        nn.init.zeros_(self.actor[-2].bias)
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        with torch.no_grad():
+            return np.asarray(self.actor(torch.from_numpy(observation)).numpy())
+
+
+def cleanrl(config: Config, options: argparse.Namespace, meter: Meter) -> None:
+    """TD3 in one loop, in the manner of CleanRL's single file."""
+    agent, trainer = config["algorithm"]["agent"], config["trainer"]
+    env, test = PlainInsertion(config, trainer["seed"]), PlainInsertion(config, 0)
+    size = env.observation_space.shape[0]
+    nets = _Networks(agent, size)
+    target = copy.deepcopy(nets)
+    actor_optimizer = torch.optim.Adam(nets.actor.parameters(), agent["actor_lr"])
+    critic_params = [p for critic in nets.critics for p in critic.parameters()]
+    critic_optimizer = torch.optim.Adam(critic_params, agent["critic_lr"])
+    pairs = [*zip(nets.actor.parameters(), target.actor.parameters(), strict=True)]
+    for online, slow in zip(nets.critics, target.critics, strict=True):
+        pairs += zip(online.parameters(), slow.parameters(), strict=True)
+    total, batch, sigma = trainer["total_steps"], trainer["batch_size"], config["algorithm"]["exploration"]["sigma"]
+    observations, following = (np.empty((total, size), np.float32) for _ in range(2))
+    actions, rewards = np.empty((total, 3), np.float32), np.empty((total, 1), np.float32)
+    random = np.random.default_rng(trainer["seed"])
+    observation, _ = env.reset(seed=trainer["seed"])
+    for step in range(total):
+        action = np.clip(nets.act(observation) + sigma * random.standard_normal(3), -1, 1).astype(np.float32)
+        new, reward, _, over, _ = env.step(action)
+        observations[step], actions[step], rewards[step], following[step] = observation, action, reward, new
+        observation = env.reset()[0] if over else new
+        if step + 1 >= trainer["warmup_steps"]:
+            rows = random.integers(0, step + 1, batch)
+            o, a, r, n = (torch.from_numpy(x[rows]) for x in (observations, actions, rewards, following))
+            with torch.no_grad():
+                noise = (torch.randn_like(a) * agent["target_noise"]).clamp(
+                    -agent["target_noise_clip"], agent["target_noise_clip"]
+                )
+                pair = torch.cat([n, (target.actor(n) + noise).clamp(-1, 1)], -1)
+                goal = r + agent["gamma"] * torch.min(*(critic(pair) for critic in target.critics))
+            pair = torch.cat([o, a], -1)
+            loss: Tensor = sum(nn.functional.mse_loss(critic(pair), goal) for critic in nets.critics)  # type: ignore
+            critic_optimizer.zero_grad()
+            loss.backward()
+            critic_optimizer.step()
+            if step % agent["policy_delay"] == 0:
+                climb = -nets.critics[0](torch.cat([o, nets.actor(o)], -1)).mean()
+                actor_optimizer.zero_grad()
+                climb.backward()
+                actor_optimizer.step()
+                with torch.no_grad():
+                    for online_p, slow_p in pairs:
+                        slow_p.lerp_(online_p, agent["tau"])
+        meter.step(step + 1)
+        _evaluate(options, meter, test, nets.act, step + 1)
+
+
+def torchrl(config: Config, options: argparse.Namespace, meter: Meter) -> None:
+    """TorchRL's own TD3 script: Collector, replay buffer, TD3Loss, Adam, SoftUpdate; one update per frame."""
+    from tensordict.nn import TensorDictModule, TensorDictSequential
+    from torchrl.collectors import Collector
+    from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+    from torchrl.modules import AdditiveGaussianModule
+    from torchrl.objectives import SoftUpdate, TD3Loss
+
+    from rrl.trainers import assembly
+
+    agent, trainer = config["algorithm"]["agent"], config["trainer"]
+    env = assembly.environment(config).make(1)
+    env.set_seed(trainer["seed"])
+    nets = _Networks(agent, env.observation_spec["observation"].shape[-1])
+    actor = TensorDictModule(nets.actor, ["observation"], ["action"])
+
+    class Critic(nn.Module):
+        def __init__(self, network: nn.Module) -> None:
+            super().__init__()
+            self.network = network
+
+        def forward(self, observation: Tensor, action: Tensor) -> Tensor:
+            return self.network(torch.cat([observation, action], -1))  # type: ignore[no-any-return]
+
+    critics = [TensorDictModule(Critic(c), ["observation", "action"], ["state_action_value"]) for c in nets.critics]
+    loss = TD3Loss(
+        actor,
+        critics,
+        bounds=(-1.0, 1.0),
+        policy_noise=agent["target_noise"],
+        noise_clip=agent["target_noise_clip"],
+        loss_function="l2",
+    )
+    loss.make_value_estimator(gamma=agent["gamma"])
+    targets = SoftUpdate(loss, tau=agent["tau"])
+    actor_optimizer = torch.optim.Adam(loss.actor_network_params.values(True, True), agent["actor_lr"])
+    critic_optimizer = torch.optim.Adam(loss.qvalue_network_params.values(True, True), agent["critic_lr"])
+    sigma = config["algorithm"]["exploration"]["sigma"]
+    explore = AdditiveGaussianModule(env.action_spec, sigma_init=sigma, sigma_end=sigma, annealing_num_steps=1)
+    frames = trainer["steps_per_collection"]
+    collector = Collector(
+        env, TensorDictSequential(actor, explore), frames_per_batch=frames, total_frames=trainer["total_steps"]
+    )
+    replay = TensorDictReplayBuffer(storage=LazyTensorStorage(trainer["total_steps"]), batch_size=trainer["batch_size"])
+    keys = ["observation", "action", ("next", "observation"), ("next", "reward"), ("next", "done")]
+    done, updates = 0, 0
+    for data in collector:
+        data["next", "reward"] *= agent["reward_scale"]
+        replay.extend(data.reshape(-1).select(*keys, ("next", "terminated")))
+        done += frames
+        for _ in range(frames if done >= trainer["warmup_steps"] else 0):
+            sample = replay.sample()
+            value_loss, _ = loss.value_loss(sample)
+            critic_optimizer.zero_grad()
+            value_loss.backward()
+            critic_optimizer.step()
+            updates += 1
+            if updates % agent["policy_delay"] == 0:
+                actor_loss, _ = loss.actor_loss(sample)
+                actor_optimizer.zero_grad()
+                actor_loss.backward()
+                actor_optimizer.step()
+                targets.step()
+        meter.step(done)
+    collector.shutdown()
+
+
+def _evaluate(
+    options: argparse.Namespace,
+    meter: Meter,
+    env: PlainInsertion,
+    act: Callable[[np.ndarray], np.ndarray],
+    env_steps: int,
+) -> None:
+    if options.every and env_steps % options.every == 0:
+        start = time.perf_counter()
+        rate = success_rate(env, act, options.episodes, seed=10_000)
+        meter.evaluated(rate, time.perf_counter() - start)
+
+
+CONTENDERS: dict[str, Callable[..., None]] = {
+    "rrl": ours,
+    "rrl-plain": ours,
+    "sb3": stable_baselines,
+    "sbx": sbx,
+    "cleanrl": cleanrl,
+    "torchrl": torchrl,
+}
+
+
+def main() -> None:
+    """Train once and print the measurements as the last line."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("name", choices=CONTENDERS)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--stack", type=int, default=1, help="seeds in this process (rrl only)")
+    parser.add_argument("--every", type=int, default=0, help="steps between evaluations; 0: none")
+    parser.add_argument("--episodes", type=int, default=50)
+    parser.add_argument("overrides", nargs="*")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    torch.set_flush_denormal(True)
+    switches = {"rrl": FAST, "rrl-plain": PLAIN}.get(options.name, [])
+    config = configuration(
+        [
+            f"trainer.seed={options.seed}",
+            f"trainer.num_seeds={options.stack}",
+            f"trainer.evaluation.every={options.every}",
+            f"trainer.evaluation.episodes={options.episodes if options.every else 1}",
+            "trainer.evaluation.final_episodes=1",
+            f"trainer.evaluation.slots={options.episodes if options.every else 1}",
+            "trainer.checkpoint.every=0",
+            *switches,
+            *options.overrides,
+        ]
+    )
+    torch.manual_seed(options.seed)
+    meter = Meter(config["trainer"]["warmup_steps"])
+    CONTENDERS[options.name](config, options, meter)
+    print(meter.report(), flush=True)
+
+
+if __name__ == "__main__":
+    main()
