@@ -42,6 +42,8 @@ def train(config: assembly.Config, run_dir: Path, console: Console, *, resume: b
         write_atomically(run_dir / CONFIG_FILE, yaml.safe_dump(dict(config), sort_keys=False))
         write_versions(run_dir)
         results = trainer.run()
+        if trainer.settings.profile:
+            console.print(trainer.profile.table())
         _report(config, trainer, results, console)
     except Exception:
         command = f"rrl train resume={shlex.quote(str(run_dir))}"
