@@ -191,8 +191,8 @@ def _steps_to_solve(outcome: Outcome) -> int | None:
 
 
 def _steps_text(outcome: Outcome) -> str:
-    steps = _steps_to_solve(outcome)
-    return "not reached" if steps is None else f"{steps}"
+    steps, start = _steps_to_solve(outcome), outcome.curve("success").mean[0]
+    return f"{'not reached' if steps is None else steps} (from {start:.0%})"
 
 
 def _said(values: np.ndarray, unit: float = 1.0) -> str:

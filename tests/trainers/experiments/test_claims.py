@@ -122,7 +122,7 @@ def test_transfer_is_quick_if_it_takes_less_than_a_thousand_steps(outcome):
     assert verdict("9", quick).holds
     assert not verdict("9", late).holds
     assert (
-        "RL from scratch: not reached"
+        "RL from scratch: not reached (from 1%)"
         in verdict("9", quick, outcome("RL from scratch", curves={"success": [0, 0]})).numbers
     )
 

@@ -1,5 +1,6 @@
 """The command: what is missing is run, what failed is named, what was killed goes on, and all of it is shown."""
 
+import io
 import json
 import os
 import signal
@@ -10,10 +11,13 @@ import time
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from experiment_project import EXPERIMENT, SETTINGS, write
 from rrl.trainers import cli
 from rrl.trainers.experiments import pool
+from rrl.trainers.experiments.display import Display
+from rrl.trainers.experiments.plan import Job
 from rrl.trainers.experiments.store import StoredRun
 from rrl.trainers.interruption import Interrupted
 from rrl.trainers.loggers import read_metrics
@@ -144,17 +148,47 @@ def test_a_stack_gives_what_its_seeds_give_alone(project, run):
 
 
 @pytest.mark.slow
-def test_ray_runs_them_too(project):
+def test_ray_runs_them_and_saves_them_on_ctrl_c(project):
     pytest.importorskip("ray")
-    command = [sys.executable, "-m", "rrl.trainers", "reproduce", "drift", "launcher=ray"]
-    said = subprocess.run(command, capture_output=True, text=True, timeout=280)
+    long_experiment(project)
+    command = [sys.executable, "-m", "rrl.trainers", "reproduce", "long", "launcher=ray"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.STDOUT)
+    wait_for(lambda: steps(project) >= 200)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60) == 128 + signal.SIGINT
+    (run_dir,) = project.glob("out/runs/*/*")
+    assert "the run is on disk" in (run_dir / "log.txt").read_text()
+    assert not results(project)
+    said = subprocess.run(command, capture_output=True, text=True, timeout=200)
     assert said.returncode == 0, said.stdout + said.stderr
-    assert len(results(project)) == 2
+    assert "resuming from" in (run_dir / "log.txt").read_text()
+    assert results(project)
 
 
 def test_the_command_line_explains_what_it_does_not_know(project, capsys):
     assert cli.main(["reproduce", "drfit"]) == 2
     assert "unknown experiment drfit; choose from" in capsys.readouterr().err
+
+
+def test_a_terminal_shows_runs_done_success_and_steps(tmp_path):
+    console = Console(file=io.StringIO(), force_terminal=True, width=160)
+    jobs = [Job(StoredRun(tmp_path / name / "seeds-0-1", name, (0, 1)), (), 1000) for name in ("first", "second")]
+    second = jobs[1].run.path
+    second.mkdir(parents=True)
+    rows = [
+        "env_steps,seed,metric,value",
+        "250,0,eval/drift/success,0.5",
+        "250,1,eval/drift/success,1.0",
+        "300,0,loss/q,1",
+    ]
+    (second / "metrics.csv").write_text("\n".join(rows))
+    display = Display(console)
+    with display.showing(jobs, done=jobs[:1]):
+        display.started(jobs[1])
+        display.refresh()
+    said = console.file.getvalue()
+    assert "1 of 2 runs" in said
+    assert "300 of 1000 steps, success 75%" in said
 
 
 def test_the_end_of_a_log_that_is_not_there_is_said(tmp_path):
