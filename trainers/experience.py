@@ -119,6 +119,7 @@ class InTurn(Experience):
             self.env,
             TensorDictSequential(policy, self.exploration, self.ramp),
             frames_per_batch=self.num_envs * self.settings.steps_per_collection,
+            device=self.env.device,  # known to be the policy's too, or every step is copied for it
             track_traj_ids=False,
             use_buffers=False,
             trust_policy=True,
