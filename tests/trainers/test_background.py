@@ -9,7 +9,7 @@ from functools import partial
 import pytest
 import torch
 
-from rrl.algorithms import SAC
+from rrl.algorithms import SAC, TD3
 from rrl.exploration import NoExploration, OrnsteinUhlenbeckExploration
 from rrl.trainers.checkpointing import newest_whole
 from rrl.trainers.config import CheckpointSettings, EvaluationSettings
@@ -149,3 +149,19 @@ def test_a_signal_finishes_what_is_under_way_and_saves_it(make):
     second = make("broken")
     assert second.resume().name == "checkpoint-000000000100"
     assert same(whole, run(second))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")  # the compiler warns of its own doings
+def test_a_seed_learns_alike_alone_and_in_a_stack_with_the_fast_settings(make):
+    fast = {"agent": partial(TD3, hidden=[32, 32], gamma=0.9, compiled=True), "matmul_precision": "medium"}
+    stack = run(make("stack", base=Slow, seed=3, num_seeds=3, **fast))
+    alone = run(make("alone", base=Slow, seed=4, num_seeds=1, **fast))
+    stacked, single = stack.replay.storage[:].reshape(-1, 3)[:, 1], alone.replay.storage[:]
+    for key in ("observation", "action", ("next", "reward")):
+        assert torch.equal(
+            stacked[key][:60], single[key][:60]
+        )  # two collections before the first update, one beside it
+        torch.testing.assert_close(stacked[key], single[key], rtol=1e-3, atol=1e-4)
+    for mine, other in zip(stack.agent.policy_of(1).parameters(), alone.agent.policy_of(0).parameters(), strict=True):
+        torch.testing.assert_close(mine, other, rtol=1e-3, atol=1e-4)
