@@ -147,7 +147,7 @@ def test_the_papers_ten_experiments_are_there():
     assert len(NAMES) == 10
 
 
-@pytest.mark.parametrize("scale", ["quick", "paper"])
+@pytest.mark.parametrize("scale", ["quick", pytest.param("paper", marks=pytest.mark.slow)])
 def test_every_experiment_is_made_of_valid_runs(scale, source):
     arms = {(point.experiment, point.arm): point for point in paper_points(scale)}  # at the last setting
     compose = partial(cli._compose, [OURS])
