@@ -267,7 +267,7 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=0, help="steps between evaluations; 0: none")
     parser.add_argument("--episodes", type=int, default=50)
     parser.add_argument("overrides", nargs="*")
-    options = parser.parse_args()
+    options = parser.parse_intermixed_args()
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)
     switches = {"rrl": FAST, "rrl-plain": PLAIN}.get(options.name, [])
