@@ -122,10 +122,10 @@ class PressAndDrag:
 
 
 def make_policy(row: Row) -> Policy:
-    """The policy of a row; the compliant variant has to press harder for the same force."""
+    """The policy of a row; the compliant variant presses harder for the same force, and lags behind a longer drag."""
     if row.policy == "hand controller":
         return hand_controller()
-    return PressAndDrag(press=0.5 if row.variant == "sim" else 1.0)
+    return PressAndDrag(press=0.5) if row.variant == "sim" else PressAndDrag(press=1.0, drag=0.03)
 
 
 def run(row: Row, episodes: int, num_envs: int, threads: int, seed: int) -> tuple[int, int]:

@@ -14,19 +14,27 @@ CAMERAS = ("overview", "closeup", "front")
 class PlatformArena(composer.Arena):
     """A table in front of the robot with a raised platform whose surface is the plane z = 0."""
 
-    def _build(self, goal_xy: tuple[float, float], friction: float, timestep: float, name: str = "insertion") -> None:
+    def _build(
+        self,
+        goal_xy: tuple[float, float],
+        friction: float,
+        timestep: float,
+        base_height: float = 0.0,
+        name: str = "insertion",
+    ) -> None:
         """Builds the arena.
 
         Args:
             goal_xy: middle of the platform, m.
             friction: sliding friction of the platform.
             timestep: of the physics, s.
+            base_height: of the robot's mounting plane, m; below it stands the pedestal.
             name: of the MJCF model.
         """
         super()._build(name)
         self._set_solver(timestep)
         self._add_look()
-        self._add_furniture(goal_xy, friction)
+        self._add_furniture(goal_xy, friction, base_height)
         self._add_cameras(goal_xy)
 
     def _set_solver(self, timestep: float) -> None:
@@ -68,7 +76,7 @@ class PlatformArena(composer.Arena):
             diffuse=(0.18, 0.2, 0.24), specular=(0.1, 0.1, 0.1), castshadow=False,
         )  # fmt: skip
 
-    def _add_furniture(self, goal_xy: tuple[float, float], friction: float) -> None:
+    def _add_furniture(self, goal_xy: tuple[float, float], friction: float, base_height: float) -> None:
         world = self._mjcf_root.worldbody
         x, y = goal_xy
 
@@ -89,7 +97,7 @@ class PlatformArena(composer.Arena):
                     pos=(x + 0.05 + side_x * 0.29, y + side_y * 0.41, -TABLE_HEIGHT / 2 - 0.03),
                     size=(0.02, 0.02, TABLE_HEIGHT / 2 - 0.03),
                 )  # fmt: skip
-        decor("cylinder", "pedestal", fromto=(0, 0, -TABLE_HEIGHT, 0, 0, -0.02), size=(0.11,))
+        decor("cylinder", "pedestal", fromto=(0, 0, -TABLE_HEIGHT, 0, 0, base_height - 0.02), size=(0.11,))
         decor("box", "pedestal", pos=(0, 0, -TABLE_HEIGHT + 0.03), size=(0.26, 0.26, 0.03))
         decor("plane", "floor", pos=(0, 0, -TABLE_HEIGHT), size=(6, 6, 0.1))
 

@@ -41,6 +41,9 @@ class InsertionConfig:
     clearance: float = 0.002
     """Play of the inserted block on each side of the gap when the blocks are aligned."""
     goal_xy: tuple[float, float] = (0.6, 0.0)
+    base_height: float = 0.0
+    """Height of the robot's mounting plane above the platform's surface, m. Where the tool works at the
+    height of the shoulder (-0.35), pressing down does not push the compliant arm sideways."""
     start_height: float = 0.14
     """Height of the inserted block above its goal at reset."""
     start_range: tuple[float, float, float] = (0.01, 0.01, 0.01)
@@ -71,8 +74,8 @@ class InsertionConfig:
     force_limit: float = 60.0
     """Largest force of the Cartesian controller along an axis, N."""
     joint_stiffness: tuple[float, ...] = (350.0, 500.0, 500.0, 480.0, 280.0, 110.0, 80.0)
-    """Impedance controller, shoulder to wrist, N m/rad: about 600 N/m at the tool sideways and 1400
-    N/m downwards."""
+    """Impedance controller, shoulder to wrist, N m/rad: at the tool of the preset ``real`` about 1100,
+    600 and 1200 N/m along x, y and z."""
     joint_damping: tuple[float, ...] = (17.5, 25.0, 25.0, 24.0, 14.0, 5.5, 4.0)
     """Impedance controller, shoulder to wrist, N m s/rad. In proportion to the stiffness, so that the
     tool moves straight towards its set point."""
@@ -148,6 +151,8 @@ PRESETS: dict[str, InsertionConfig] = {
         force_observation="force_z",
         reward_point="end_effector",
         yaw_choices=(-20.0, 0.0, 20.0),
+        base_height=-0.35,
+        chamfer=(0.0055, 0.00825),
         displacement_weight=0.5,
         yaw_weight=0.1,
     ),
@@ -224,7 +229,7 @@ _NOT_NEGATIVE = (
     "displacement_weight",
     "yaw_weight",
 )
-_ANY_SIGN = ("goal_xy", "yaw_choices")
+_ANY_SIGN = ("goal_xy", "base_height", "yaw_choices")
 _LENGTHS = {
     "held_half_size": 3,
     "standing_half_size": 3,
@@ -286,7 +291,7 @@ def _check_geometry(config: InsertionConfig) -> None:
             f"the held block into the standing blocks of height {2 * size_z}; raise it"
         )
     x, y = config.goal_xy
-    distance = math.hypot(x, y, config.goal[2] + config.start_height)
+    distance = math.hypot(x, y, config.goal[2] + config.start_height - config.base_height)
     if math.hypot(x, y) < 0.4 or distance > 0.85:
         raise ValueError(
             f"goal_xy {config.goal_xy} is out of the arm's reach: the goal must be 0.4 m or more "

@@ -41,9 +41,10 @@ def build_scene(config: InsertionConfig) -> Scene:
         goal_xy=config.goal_xy,
         friction=config.platform_friction,
         timestep=config.physics_timestep,
+        base_height=config.base_height,
     )
     arm = Sawyer()
-    arena.attach(arm)
+    arena.attach(arm).pos = (0.0, 0.0, config.base_height)
     gripper = ParallelGripper(opening=2 * config.held_half_size[0])
     arm.attach(gripper, arm.hand_site)
     held = HeldBlock(config.held_half_size, config.held_mass, config.held_friction, HELD_COLOR)

@@ -7,7 +7,7 @@ import pytest
 from rrl.envs import make_config
 from rrl.envs.control import check_action, jacobian, orientation_error, set_points
 from rrl.envs.scene import compile_model
-from rrl.envs.start import StartState
+from rrl.envs.start import Episode, StartState
 
 
 @pytest.fixture(scope="module")
@@ -44,8 +44,20 @@ def test_joint_step_moves_the_tool_and_straightens_it(arm: tuple) -> None:
     after = start.layout.views(data.sensordata[None])
     moved = (after["tool_position"] - before["tool_position"])[0]
     np.testing.assert_allclose(moved, config.action_scale * action[0], atol=5e-4)
-    left = orientation_error(after)[0] / orientation_error(before)[0]
-    np.testing.assert_allclose(left, 1 - config.ik_rotation_gain, atol=0.1)
+    left = (1 - config.ik_rotation_gain) * orientation_error(before)[0]
+    np.testing.assert_allclose(orientation_error(after)[0], left, atol=4e-4)  # the step's second order: 0.02^2
+    assert np.abs(left).max() > 5e-3
+
+
+@pytest.mark.parametrize(("base_height", "low", "high"), [(-0.35, 0.0, 0.15), (0.0, 0.5, 1.0)])
+def test_pressing_at_shoulder_height_does_not_push_sideways(base_height: float, low: float, high: float) -> None:
+    config = make_config("real", {"base_height": base_height})
+    start = StartState(compile_model(config), config)
+    data = mujoco.MjData(model := compile_model(config))
+    start.hold(model, data, start.qpos(model, Episode(yaw=np.zeros(2), offset=np.zeros(3))))
+    jac = jacobian(start.layout.views(data.sensordata[None]))[0]
+    compliance = jac / np.asarray(config.joint_stiffness) @ jac.T  # (6, 6)
+    assert low <= abs(compliance[0, 2]) / compliance[2, 2] <= high
 
 
 def test_redundant_joint_returns_home(arm: tuple) -> None:
