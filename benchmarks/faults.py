@@ -31,6 +31,7 @@ SETTINGS = [
     "env=insertion-sim",
     "disturbance=noise",
     "logger=[csv,tensorboard]",
+    "algorithm=td3",
     "algorithm.agent.hidden=[16,16]",
     "trainer.num_seeds=2",
     "trainer.warmup_steps=40",

@@ -33,6 +33,7 @@ SETTINGS = [
     "trainer.evaluation.slots=10",
     "trainer.checkpoint.every=500",
     "logger=[csv,tensorboard]",
+    "algorithm=td3",
     "algorithm.agent.hidden=[64,64]",
     "render.enabled=false",
 ]

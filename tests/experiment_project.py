@@ -29,7 +29,13 @@ SETTINGS = {
     "launcher": "local",
     "workers": 2,
     "out": "out",
-    "overrides": ["logger=[csv]", "render.enabled=false", "env=point", "algorithm.agent.hidden=[16,16]"],
+    "overrides": [
+        "logger=[csv]",
+        "render.enabled=false",
+        "env=point",
+        "algorithm=td3",
+        "algorithm.agent.hidden=[16,16]",
+    ],
     "scales": {
         "tiny": {
             "seeds": 2,

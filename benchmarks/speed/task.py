@@ -29,7 +29,7 @@ def configuration(overrides: list[str]) -> Config:
     """The configuration of ``rrl train`` with ``overrides``."""
     OmegaConf.register_new_resolver("plain", plain_name, replace=True)
     with initialize_config_module("rrl.configs", version_base="1.3"):
-        config = compose("train", overrides=["logger=[csv]", *overrides])
+        config = compose("train", overrides=["logger=[csv]", "algorithm=td3", *overrides])
     container = OmegaConf.to_container(config, resolve=True)
     assert isinstance(container, dict)
     return {str(key): value for key, value in container.items()}
@@ -51,7 +51,7 @@ class PlainInsertion(gymnasium.Env[np.ndarray, np.ndarray]):
         self.simulation = BatchSimulation(compile_model(self.config), self.config, 1, 1)
         self.random = np.random.default_rng(seed)
         self.keys = list(env["inputs"])
-        sizes = quantities.observation_sizes(self.config)
+        sizes = {**quantities.observation_sizes(self.config), "base_action": 3, "previous_action": 3}
 
         def column(name: str, default: float) -> np.ndarray:
             entries = [np.broadcast_to((env["inputs"][k] or {}).get(name, default), sizes[k]) for k in self.keys]
@@ -75,7 +75,7 @@ class PlainInsertion(gymnasium.Env[np.ndarray, np.ndarray]):
         if seed is not None:
             self.random = np.random.default_rng(seed)
         trace = self.simulation.reset(0, draw_episode(self.config, self.random))[None]
-        self.steps, self.queue = 0, []
+        self.steps, self.queue, self.previous_action = 0, [], np.zeros(3)
         return self._observe(self._measure(trace)), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
@@ -85,6 +85,7 @@ class PlainInsertion(gymnasium.Env[np.ndarray, np.ndarray]):
         controls = set_points(signals, executed, self.config, self.simulation.start.home)
         trace, diverged = self.simulation.step(controls)
         self.steps += 1
+        self.previous_action = action
         measurement = self._measure(trace)
         reward = float(quantities.total(quantities.reward_terms(measurement, self.config))[0]) * self.reward_scale
         over = self.steps >= self.config.episode_length or bool(diverged[0])
@@ -103,6 +104,7 @@ class PlainInsertion(gymnasium.Env[np.ndarray, np.ndarray]):
         entries["blocks"] = self.queue[0]
         position = entries["end_effector_position"]
         self.base_action = np.clip(self.gain * (self.goal - position), -self.clip, self.clip)
+        entries |= {"base_action": self.base_action, "previous_action": self.previous_action}
         values = np.concatenate([entries[key] for key in self.keys])
         return ((values - self.loc) * self.scale).astype(np.float32)
 

@@ -213,7 +213,7 @@ def test_what_hardware_made_after_the_checkpoint_is_learned_from_again(make_trai
     lost = {name: value.clone() for name, value in dead.agent.state_dict().items() if isinstance(value, torch.Tensor)}
     resumed = make_trainer(total_steps=200)
     resumed.resume()
-    assert not resumed.episode.continues
+    assert not resumed.experience.continues
     assert "40 transitions were stored after the checkpoint" in caplog.text
     assert (resumed.env_steps, resumed.store.pending) == (100, 40)
     while resumed.store.pending:

@@ -15,6 +15,7 @@ import wandb_file
 SMALL = [
     "trainer.total_steps=100",
     "trainer.warmup_steps=50",
+    "algorithm=td3",
     "algorithm.agent.hidden=[16,16]",
     "trainer.batch_size=16",
     "trainer.evaluation.every=50",

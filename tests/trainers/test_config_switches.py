@@ -36,7 +36,9 @@ SMALL = {
 def learned(run_dir, *overrides):
     """The policy's weights after a short training on the drifting point."""
     with initialize_config_module("rrl.configs", version_base="1.3"):
-        config = compose("train", overrides=["logger=csv", "algorithm.agent.hidden=[16]", *overrides])
+        config = compose(
+            "train", overrides=["logger=csv", "env=insertion-sim", "algorithm.agent.hidden=[16]", *overrides]
+        )
     config = OmegaConf.to_container(config, resolve=True)
     inputs = config["env"]["inputs"]
     own = {key: inputs[key] for key in ("base_action", "previous_action") if key in inputs}

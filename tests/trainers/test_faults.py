@@ -117,7 +117,13 @@ def start(*arguments):
 
 def test_the_command_prints_how_to_go_on(tmp_path):
     run = tmp_path / "the run"
-    quick = ["logger=csv", "env=insertion-sim", "algorithm.agent.hidden=[8]", "trainer.evaluation.every=0"]
+    quick = [
+        "logger=csv",
+        "env=insertion-sim",
+        "algorithm=td3",
+        "algorithm.agent.hidden=[8]",
+        "trainer.evaluation.every=0",
+    ]
     with start(f"hydra.run.dir='{run}'", *quick, "trainer.evaluation.episodes=1") as process:
         metrics = run / "metrics.csv"
         while process.poll() is None and not (metrics.exists() and "train/reward" in metrics.read_text()):

@@ -13,6 +13,7 @@ from rrl.trainers.frozen import chosen, policy_controller, replay_controller, st
 from rrl.trainers.summary import write_results
 
 SMALL = [
+    "algorithm=td3",
     "algorithm.agent.hidden=[16,16]",
     "logger=[csv]",
     "render.enabled=false",

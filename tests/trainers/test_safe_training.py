@@ -17,7 +17,7 @@ from rrl.envs import InsertionEnv
 from rrl.trainers import assembly
 
 SIM = ["env=insertion-sim", "safety.force.force_key=wrench", "safety.force.axes=[0,1,2]"]
-VARIANTS = {"real": [], "sim": SIM}
+VARIANTS = {"real": ["safety.force.onset=10.0"], "sim": SIM}  # within the other limits, real stays below 28 N
 CORNERS = [[x, y, z] for x in (-1.0, 0.0, 1.0) for y in (0.0, 1.0) for z in (-1.0, 0.0, 1.0)]
 
 
@@ -97,6 +97,7 @@ def test_training_exceeds_no_limit_even_towards_harm(variant, monkeypatch, tmp_p
         *VARIANTS[variant],
         "disturbance=noise",
         "algorithm.agent.reward_scale=-10.0",
+        "algorithm=td3",
         "algorithm.agent.hidden=[32,32]",
         "trainer.num_seeds=2",
         "trainer.total_steps=1200",

@@ -130,7 +130,8 @@ def source(tmp_path_factory):
     settings = {"total_steps": 100, "warmup_steps": 50, "num_seeds": 2, "batch_size": 16}
     evaluation = {"every": 0, "episodes": 1, "final_episodes": 1, "seed": 0, "slots": 1}
     trainer = {**point.config["trainer"], **settings, "evaluation": evaluation}
-    config = {**point.config, "trainer": trainer}
+    agent = {**point.config["algorithm"]["agent"], "compiled": False}
+    config = {**point.config, "trainer": trainer, "algorithm": {**point.config["algorithm"], "agent": agent}}
     with assembly.trainer(config, run_dir) as made:
         write_results(made.run(), made.settings.seeds, run_dir)
     (run_dir / "config.yaml").write_text(yaml.safe_dump(config))
