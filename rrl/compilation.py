@@ -48,7 +48,7 @@ def compile_update(update: Callable[..., Any]) -> Callable[..., Any]:
     """
     torch._dynamo.config.trace_autograd_ops = True
     os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(_cache() / "inductor"))  # PyTorch's own is in /tmp
-    return torch.compile(
+    compiled = torch.compile(
         _with_own_code(update),
         fullgraph=True,
         dynamic=False,
@@ -57,6 +57,23 @@ def compile_update(update: Callable[..., Any]) -> Callable[..., Any]:
             "guard_filter_fn": torch.compiler.skip_all_guards_unsafe,
         },
     )
+    return _quiet_at_first(compiled)
+
+
+def _quiet_at_first(step: Callable[..., Any]) -> Callable[..., Any]:
+    """Hold back what the libraries' code warns about while it is traced, at the first call; none of it is ours."""
+    traced = False
+
+    def run(*arguments: Any) -> Any:
+        nonlocal traced
+        if traced:
+            return step(*arguments)
+        traced = True
+        with warnings.catch_warnings(record=True):
+            warnings.simplefilter("ignore")
+            return step(*arguments)
+
+    return run
 
 
 def _with_own_code(method: Any) -> Callable[..., Any]:

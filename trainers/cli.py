@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import re
 import signal
@@ -217,7 +216,7 @@ def _run(command: str, hydra_config: DictConfig, *, resume: bool) -> None:
 def _quieten() -> None:
     """Keep to itself what TorchRL says when it is imported: that it is there, and that some of it is deprecated."""
     warnings.filterwarnings("ignore", message="Creating .* inherits from WeightUpdaterBase")
-    logging.getLogger("torchrl").setLevel(logging.WARNING)
+    os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
 
 
 def _message(error: BaseException) -> str:
