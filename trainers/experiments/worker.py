@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
 import sys
+import threading
+import time
 
-PR_SET_PDEATHSIG = 1
-"""Linux: which signal a process gets when its parent dies."""
+LOOK_SECONDS = 0.5
 
 
 def follow_parent(parent: int) -> None:
-    """Have SIGTERM sent to this process when ``parent`` dies; on systems other than Linux, do nothing."""
-    if sys.platform != "linux":
-        return
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-    if os.getppid() != parent:  # it died before
-        sys.exit(128 + signal.SIGTERM)
+    """Send this process one SIGTERM when ``parent`` dies; a second one would end it without a checkpoint.
+
+    The kernel's own PR_SET_PDEATHSIG signals once for each thread of the parent that dies.
+    """
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(LOOK_SECONDS)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=watch, name="follow-parent", daemon=True).start()
 
 
 if __name__ == "__main__":
