@@ -11,7 +11,8 @@ train: $(VENV)/installed            ## train residual TD3 on the misaligned inse
 test: $(VENV)/installed             ## the default test suite
 	$(BIN)/pytest -m "not slow" -n 2
 
-test-slow: $(VENV)/installed        ## long training checks
+test-slow: $(VENV)/installed        ## long training checks, and experiments on a local Ray
+	$(BIN)/pip install --disable-pip-version-check --quiet --constraint constraints.txt --editable ".[ray]"
 	$(BIN)/pytest -m slow
 
 lint: $(VENV)/installed             ## style and types

@@ -109,15 +109,17 @@ class GaussianExploration(ExplorationNoise):
 class OrnsteinUhlenbeckExploration(ExplorationNoise):
     """Add a temporally correlated process, started anew with every episode.
 
-    The discretised process ``n <- n - theta n dt + sigma sqrt(dt) N(0, 1)``. It is a buffer, so that a checkpoint
-    holds it. Its standard deviation tends to about ``sigma / sqrt(2 theta)``. Reads ``is_init`` too
+    Steps of the same sign in a row drag and push where white noise trembles. The process is
+    ``n <- (1 - theta) n + sigma sqrt(1 - (1 - theta)^2) N(0, 1)`` from ``n = 0``, whose standard deviation tends to
+    ``sigma``; with ``theta = 1`` it is white. It is a buffer, so that a checkpoint holds it. Reads ``is_init`` too
     (:class:`torchrl.envs.transforms.InitTracker`, which the trainer adds).
 
     Args:
-        sigma, sigma_end: scale of the increments.
-        theta: rate of the pull towards zero.
-        dt: time step of the discretisation.
-        spec, decay_steps, num_slots, seed: see :class:`ExplorationNoise`.
+        theta: share of the process that is forgotten in a step, in (0, 1].
+        spec, sigma, sigma_end, decay_steps, num_slots, seed: see :class:`ExplorationNoise`.
+
+    Raises:
+        ValueError: if ``theta`` is no such share.
 
     """
 
@@ -131,21 +133,22 @@ class OrnsteinUhlenbeckExploration(ExplorationNoise):
         sigma_end: float | None = None,
         decay_steps: int = 10_000,
         theta: float = 0.15,
-        dt: float = 1.0,
         num_slots: int = 1,
         seed: int = 0,
     ) -> None:
         super().__init__(
             spec, sigma=sigma, sigma_end=sigma_end, decay_steps=decay_steps, num_slots=num_slots, seed=seed
         )
-        self.theta, self.dt = theta, dt
+        if not 0 < theta <= 1:
+            raise ValueError(f"theta: expected a share in (0, 1], got {theta}")
+        self.kept = 1 - theta
         self.process: Tensor
         self.register_buffer("process", torch.zeros(spec.shape))
 
     def noise(self, normal: Tensor, tensordict: TensorDictBase) -> Tensor:
         """Let the process make a step."""
         process = self.process * ~tensordict.get("is_init")
-        self.process = process * (1 - self.theta * self.dt) + self.sigma * self.dt**0.5 * normal
+        self.process = self.kept * process + self.sigma * (1 - self.kept**2) ** 0.5 * normal
         return self.process
 
 

@@ -43,7 +43,7 @@ class Agent(nn.Module, ABC):
         num_seeds: how many independent learners are stacked.
         seed: learner ``k`` is the learner that ``seed + k`` alone would give.
         hidden: widths of the hidden layers, of actor and critics.
-        layer_norm: normalise the critics' hidden layers.
+        layer_norm: normalise the hidden layers of actor and critics.
         last_layer_bound: the actor's output layer is drawn from ``U(-bound, bound)``; 0 makes an untrained residual
             exactly zero.
         actor_lr, critic_lr: learning rates of Adam.
@@ -120,6 +120,7 @@ class Agent(nn.Module, ABC):
             "out_features": out_features,
             "hidden": list(self.hidden),
             "last_layer_bound": self.last_layer_bound,
+            "layer_norm": self.layer_norm,
             "squash": squash,
         }
         self._actor = StackedMLP(self.num_seeds, generators=self._generators, **self._actor_arguments)

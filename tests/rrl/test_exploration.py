@@ -46,6 +46,17 @@ def test_ornstein_uhlenbeck_noise_is_correlated_within_an_episode_only():
     assert abs(correlation(10)) < 0.15
 
 
+def test_correlated_noise_reaches_the_given_spread_and_forgets_at_the_given_rate():
+    noise = explore(make(OrnsteinUhlenbeckExploration, 200, theta=0.5), 200, 20).flatten(1)
+    assert noise[-1].std() == pytest.approx(0.2, rel=0.1)
+    assert torch.corrcoef(noise[-2:])[0, 1] == pytest.approx(0.5, abs=0.1)
+
+
+def test_a_theta_that_is_no_share_is_refused():
+    with pytest.raises(ValueError, match="theta: expected a share"):
+        make(OrnsteinUhlenbeckExploration, theta=0.0)
+
+
 @pytest.mark.parametrize("kind", BOTH)
 def test_a_slot_explores_alike_in_any_batch(kind):
     batch = explore(make(kind, 3, seed=5), 3, 8)

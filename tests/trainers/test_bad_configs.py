@@ -22,7 +22,7 @@ BROKEN = {
     "+env.inptus.goal={}": ["env.inptus: unknown key"],
     "+speed=fast": ["speed: unknown key", "fast"],
     "+algorithm.agent.learning_rate=0.1": [AGENT, "does not take 'learning_rate'", "actor_lr"],
-    "+algorithm.exploration.theta=0.1": ["algorithm.exploration", "does not take 'theta'", "sigma"],
+    "+algorithm.exploration.thetta=0.1": ["algorithm.exploration", "does not take 'thetta'", "theta"],
     "+controller.gian=0.1": ["controller", "does not take 'gian'", "gain"],
     "+env.base.clearence=0.1": [BASE, "'clearence'", "clearance"],
     "+env.inputs.goal.mean=0.1": ["env.inputs.goal", "expected loc and scale", "mean"],
@@ -86,7 +86,7 @@ BROKEN = {
     "render.fps=0": ["render.fps", "greater than 0"],
     "render.seed=1": ["render.seed", "trainer.num_seeds (1)", "1"],
     # contradictions
-    "trainer.total_steps=500": ["warmup_steps (1000)", "total_steps (500)"],
+    "trainer.total_steps=300": ["warmup_steps (300)", "total_steps (300)"],
     "trainer.steps_per_collection=30": ["total_steps (10000)", "steps_per_collection", "30"],
     "trainer.updates_per_step=0.333": ["updates_per_step (0.333)", "whole number"],
     "trainer.buffer_capacity=100": ["buffer_capacity (100)", "batch (128)"],

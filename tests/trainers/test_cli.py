@@ -152,7 +152,7 @@ def test_resume_continues_to_the_new_end(trained):
         (["trian"], "unknown command 'trian'"),
         (["train", "trainer.sede=3"], "sede"),
         (["train", "trainer.num_seeds=-1"], "trainer.num_seeds"),
-        (["train", "trainer.total_steps=500"], "warmup_steps (1000) leaves nothing"),
+        (["train", "trainer.total_steps=300"], "warmup_steps (300) leaves nothing"),
         (["train", "env=insertion-mars"], "insertion-mars"),
         (["train", "+algorithm.agent.learning_rate=0.1"], "does not take 'learning_rate'"),
         (["train", "+env.base.clearence=0.1"], "clearance"),

@@ -88,7 +88,7 @@ class Display:
 
 
 def latest(run_dir: Path) -> tuple[int, float | None]:
-    """Environment steps so far, and the last evaluation's mean success if it is near the end of ``metrics.csv``."""
+    """Environment steps so far, and the followed scenario's last success if it is near the end of ``metrics.csv``."""
     steps, success = 0, dict[str, tuple[int, float]]()
     for line in _last_lines(run_dir / METRICS):
         cells = line.split(",")
@@ -96,7 +96,8 @@ def latest(run_dir: Path) -> tuple[int, float | None]:
             continue
         steps = int(cells[0])
         group, _, rest = cells[2].partition("/")
-        if group == metrics.EVALUATION and rest.endswith("/success"):
+        followed = success.get(cells[1], (-1, 0.0))[0] < steps  # the first scenario of an evaluation
+        if followed and group == metrics.EVALUATION and rest.endswith("/success"):
             success[cells[1]] = steps, float(cells[3])
     last = max((at for at, _ in success.values()), default=0)
     values = [value for at, value in success.values() if at == last]

@@ -102,7 +102,7 @@ def test_the_compiled_update_equals_the_eager_one(algorithm):
     for learner in (eager, compiled):
         learner.update(batches(10, 2))
     for name, value in parameters(eager).items():
-        torch.testing.assert_close(parameters(compiled)[name], value, rtol=1e-4, atol=1e-5)
+        torch.testing.assert_close(parameters(compiled)[name], value, rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.slow
