@@ -45,7 +45,8 @@ def learning_curve(run_dir: Path, scenario: str, out: Path) -> Path:
         axis.set_xlabel("environment steps of one seed")
         if metric == "success":
             axis.set_ylim(-3, 103)
-    axes[0].legend(loc="upper left", frameon=False)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
     seeds = len(record[metrics.name(metrics.EVALUATION, scenario, available[0][0])])
     band = ", mean and 95 % confidence interval" if seeds > 1 else ""
     figure.suptitle(f"{scenario}: {seeds} seed{'s' * (seeds > 1)}{band}", fontsize=11)
