@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from ..interruption import Interrupted
+from ..interruption import Interrupted, Interruption
 from . import launchers
 from .claims import Verdict, judge
 from .display import Display
@@ -52,7 +52,10 @@ def reproduce(
     settings = load_settings(folders, changes)
     experiments = load_experiments(names, folders)
     store = Store(Path(settings.out))
-    points = plan_points(experiments, settings, compose)
+    planning = Interruption("stopping after the plan")
+    with planning.listening():  # a signal in the middle of Hydra's work would end as an error of Hydra's
+        points = plan_points(experiments, settings, compose)
+    planning.check()
     launcher = launchers.make(settings.launcher, settings.workers)
     try:
         jobs = plan_jobs(points, store, settings.scales[settings.scale].stack, launcher.slots)

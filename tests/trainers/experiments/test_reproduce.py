@@ -19,6 +19,7 @@ from rrl.trainers import cli
 from rrl.trainers.experiments import pool
 from rrl.trainers.experiments.display import Display
 from rrl.trainers.experiments.plan import Job
+from rrl.trainers.experiments.reproduce import reproduce
 from rrl.trainers.experiments.store import StoredRun
 from rrl.trainers.interruption import Interrupted
 from rrl.trainers.loggers import read_metrics
@@ -107,6 +108,19 @@ def test_ctrl_c_saves_the_runs_and_the_same_command_goes_on(project, run):
     reached = steps(project)
     assert 200 <= reached < 1500
     assert sorted((run_dir / "checkpoints").iterdir())[-1].name == f"checkpoint-{reached:012d}"
+
+
+def test_ctrl_c_while_the_runs_are_planned_is_no_error_of_hydra(project, folders, compose):
+    signals = iter([signal.SIGINT])
+
+    def interrupted(overrides):
+        for number in signals:
+            os.kill(os.getpid(), number)
+        return compose(overrides)
+
+    with pytest.raises(Interrupted):
+        reproduce(["drift"], {}, interrupted, folders, Console(quiet=True))
+    assert not results(project)
 
 
 @pytest.mark.slow
