@@ -123,10 +123,11 @@ def learns_under_bias(finding: Finding) -> tuple[bool, str]:
 
 
 def transfers_quickly(finding: Finding) -> tuple[bool, str]:
-    """The mean success over seeds reaches 90 % in fewer than 1000 environment steps."""
+    """From before environment step 1000 to the end the mean success over seeds is 90 % or more."""
     said = [f"{arm}: {_steps_text(finding.arm(arm)[0])}" for arm in finding.arms]
     steps = _steps_to_solve(finding.arm(SIM_ARM)[0])
-    return steps is not None and steps < FEW_STEPS, f"steps to {SOLVED:.0%} success: " + "; ".join(said)
+    text = f"steps after which success stays at {SOLVED:.0%}: {'; '.join(said)}"
+    return steps is not None and steps < FEW_STEPS, text
 
 
 def explores_wider(finding: Finding) -> tuple[bool, str]:
@@ -186,8 +187,8 @@ def _counts(outcome: Outcome, scenario: str) -> tuple[float, float, str]:
 
 def _steps_to_solve(outcome: Outcome) -> int | None:
     curve = outcome.curve("success")
-    solved = np.flatnonzero(curve.mean >= SOLVED)
-    return int(curve.steps[solved[0]]) if len(solved) else None
+    first = max(np.flatnonzero(curve.mean < SOLVED), default=-1) + 1
+    return int(curve.steps[first]) if first < len(curve.steps) else None
 
 
 def _steps_text(outcome: Outcome) -> str:

@@ -116,11 +116,12 @@ def test_bias_does_not_stop_learning_if_every_bias_is_learned(outcome):
     assert not verdict("8", good, bad).holds
 
 
-def test_transfer_is_quick_if_it_takes_less_than_a_thousand_steps(outcome):
+def test_transfer_is_quick_if_success_stays_from_before_a_thousand_steps_on(outcome):
     arm = "residual RL on the policy from simulation"
     quick, late = outcome(arm, curves={"success": [0.2, 0.95]}), outcome(arm, curves={"success": [0.2, 0.3, 0.95]})
     assert verdict("9", quick).holds
     assert not verdict("9", late).holds
+    assert not verdict("9", outcome(arm, curves={"success": [0.95, 0.3, 0.95]})).holds  # it was lost again
     assert (
         "RL from scratch: not reached (from 1%)"
         in verdict("9", quick, outcome("RL from scratch", curves={"success": [0, 0]})).numbers
