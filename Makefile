@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: train test test-slow lint docs controllers reproduce faults soak ablation benchmark clean
+.PHONY: train test test-slow test-ray lint docs controllers reproduce faults soak ablation benchmark clean
 
 train: $(VENV)/installed            ## train residual TD3 on the misaligned insertion task, five seeds side by side
 	$(BIN)/rrl train trainer.num_seeds=5
@@ -11,9 +11,12 @@ train: $(VENV)/installed            ## train residual TD3 on the misaligned inse
 test: $(VENV)/installed             ## the default test suite
 	$(BIN)/pytest -m "not slow" -n 2
 
-test-slow: $(VENV)/installed        ## long training checks, and experiments on a local Ray
-	$(BIN)/pip install --disable-pip-version-check --quiet --constraint constraints.txt --editable ".[ray]"
+test-slow: $(VENV)/installed        ## long training checks
 	$(BIN)/pytest -m slow
+
+test-ray: $(VENV)/installed         ## experiments on a local Ray
+	$(BIN)/pip install --disable-pip-version-check --quiet --constraint constraints.txt --editable ".[ray]"
+	$(BIN)/pytest -m slow -k ray
 
 lint: $(VENV)/installed             ## style and types
 	$(BIN)/ruff check .

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
@@ -163,11 +164,10 @@ class _Task:
 def _run(arguments: Sequence[str], log: str, cwd: str, path: Sequence[str]) -> int:
     """A Ray task: run the command to its end; a cancelled one passes the request on and waits for the checkpoint."""
     process = spawn(arguments, Path(log), cwd, path)
-    while True:
-        try:
-            return process.wait(POLL_SECONDS)
-        except subprocess.TimeoutExpired:
-            continue
-        except KeyboardInterrupt:
-            process.send_signal(signal.SIGTERM)
-            return process.wait(GRACE_SECONDS)
+    try:
+        while process.poll() is None:  # a wait without an end would not see the request
+            time.sleep(POLL_SECONDS)
+        return process.returncode
+    except KeyboardInterrupt:
+        process.send_signal(signal.SIGTERM)
+        return process.wait(GRACE_SECONDS)
