@@ -163,6 +163,7 @@ class _Task:
 
 def _run(arguments: Sequence[str], log: str, cwd: str, path: Sequence[str]) -> int:
     """A Ray task: run the command to its end; a cancelled one passes the request on and waits for the checkpoint."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # Ray cancels by it; below nohup it would be ignored
     process = spawn(arguments, Path(log), cwd, path)
     try:
         while process.poll() is None:  # a wait without an end would not see the request
