@@ -90,7 +90,6 @@ def _spread(experiment: Experiment, finding: Finding) -> Figure:
     axis.set_xticks(range(4), ["x", "y", "z", "sum"])
     axis.set_xlabel("direction")
     axis.set_ylabel("variance of the end effector's positions [cm²]")
-    axis.set_yscale("log")
     _finish(figure, [axis], experiment, finding)
     return figure
 
