@@ -9,13 +9,15 @@ import torch
 from torch import Tensor, nn
 from torch.optim.adam import adam
 
+from rrl.compilation import being_traced
+
 
 class Adam(nn.Module):
     """Adam on a fixed list of parameters, fed with gradients instead of reading ``.grad``.
 
     ``torch.optim.Adam.step`` breaks a compiled graph, and ``.grad`` belongs to ``backward``. This module keeps
-    the moments as buffers, so that they are part of a ``state_dict``, and calls PyTorch's functional Adam: the
-    fused kernel in eager mode, the traceable one inside ``torch.compile``. The rule works element by
+    the moments as buffers, so that they are part of a ``state_dict``, and calls PyTorch's fused kernel; in an
+    update that is traced it writes the same rule out. The rule works element by
     element, so that stacked seeds stay independent.
 
     Args:
@@ -50,7 +52,7 @@ class Adam(nn.Module):
         """Apply one update with ``grads``, one tensor per parameter in the order of construction."""
         parameters = [p.data for p in self.params]
         means, squares = self._buffers_named("exp_avg"), self._buffers_named("exp_avg_sq")
-        if torch.compiler.is_compiling():
+        if being_traced():
             self._traced_step(parameters, grads, means, squares)
             return
         adam(

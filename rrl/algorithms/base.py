@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any, ClassVar
 
 import torch
@@ -15,17 +16,20 @@ from torchrl.objectives import LossModule, SoftUpdate
 from torchrl.objectives.utils import ValueEstimators
 
 from rrl.adam import Adam
-from rrl.compilation import compile_where_possible
+from rrl.compilation import CompiledUpdate, can_compile
 from rrl.keys import ACTION
 from rrl.networks import StackedMLP
 from rrl.random import SlotGenerators
 
 __all__ = ["Agent", "check"]
 
+UPDATES_PER_GRAPH = 4
+"""At most: every further one saves less time in a call and takes as long to compile as the first."""
+
 LOSS_FUNCTIONS = ("l1", "l2", "smooth_l1")
 
-Step = Callable[..., dict[str, Tensor]]
-"""One gradient update, of the entries' names and then their tensors ``[S, B, ...]``, to metrics ``[S]``."""
+Step = Callable[[TensorDictBase], dict[str, Tensor]]
+"""One gradient update, of a batch ``[S, B]``, to metrics ``[S]``."""
 
 
 class Agent(nn.Module, ABC):
@@ -151,8 +155,7 @@ class Agent(nn.Module, ABC):
         self._actor_params = list(actor_params.values(True, True))
         self.critic_optimizer = Adam(self._critic_params, self.critic_lr)
         self.actor_optimizer = Adam(self._actor_params, self.actor_lr)
-        steps = self._critic_step, self._critic_and_target_step, self._critic_and_policy_step
-        self._steps: Sequence[Step] = compile_where_possible(steps) if self.compiled else steps
+        self._graphs: dict[Any, CompiledUpdate] | None = {} if self.compiled and can_compile() else None
 
     def start_from(self, other: Agent, k: int) -> None:
         """Take the networks of learner ``k`` of ``other`` as every learner's initial weights; optimisers stay fresh.
@@ -207,28 +210,47 @@ class Agent(nn.Module, ABC):
         following = batches["next"]
         following["reward"] = following["reward"] * self.reward_scale
         self.prepare(batches)
-        keys, rows = self._rows(batches)
-        history: dict[str, list[Tensor]] = {}
-        for row in rows:
-            for name, value in self._next_step()(keys, *row).items():
-                history.setdefault(name, []).append(value)
-        return {name: torch.stack(values).mean(0) for name, values in history.items()}
-
-    def _rows(self, batches: TensorDictBase) -> tuple[tuple[NestedKey, ...], Iterator[tuple[Tensor, ...]]]:
-        """The entries of ``batches`` [k, S, B] and, for each of the ``k`` updates, their tensors.
-
-        A compiled update takes plain, contiguous tensors: it skips the guards that would notice other strides, and
-        a TensorDict among its arguments costs more than some of its products.
-        """
         entries = sorted(batches.items(True, True), key=lambda item: str(item[0]))
-        columns = [value.contiguous().unbind(0) for _, value in entries]
-        return tuple(key for key, _ in entries), zip(*columns, strict=True)
+        keys, columns = tuple(key for key, _ in entries), [value.contiguous() for _, value in entries]
+        history: dict[str, list[Tensor]] = {}
+        for first, steps in self._plan(len(batches)):
+            part = [column[first : first + len(steps)] for column in columns]
+            for name, values in self._learn(steps, keys, part).items():
+                history.setdefault(name, []).append(values)
+        return {name: torch.cat(values).mean(0) for name, values in history.items()}
+
+    def _plan(self, k: int) -> Iterator[tuple[int, tuple[Step, ...]]]:
+        """The next ``k`` updates in parts, up to a policy update each, with the number of a part's first update."""
+        first = 0
+        while first < k:
+            to_policy = self.policy_delay - self.num_updates % self.policy_delay
+            size = min(to_policy, k - first, UPDATES_PER_GRAPH)
+            yield first, tuple(self._next_step() for _ in range(size))
+            first += size
 
     def _next_step(self) -> Step:
         self.num_updates += 1
         if self.num_updates % self.policy_delay:
-            return self._steps[0]
-        return self._steps[1 if self.num_updates <= self.critic_burn_in else 2]
+            return self._critic_step
+        return self._critic_and_target_step if self.num_updates <= self.critic_burn_in else self._critic_and_policy_step
+
+    def _learn(self, steps: tuple[Step, ...], keys: tuple[NestedKey, ...], columns: list[Tensor]) -> dict[str, Tensor]:
+        """Take one step after the other, each with its row of the entries ``[n, S, B, ...]``; metrics ``[<= n, S]``."""
+        update = partial(self._take, steps, keys)
+        if self._graphs is None:
+            return update(*columns)
+        kind = (tuple(step.__name__ for step in steps), keys, tuple(column.shape for column in columns))
+        if kind not in self._graphs:
+            self._graphs[kind] = CompiledUpdate(update)
+        return self._graphs[kind](*columns)
+
+    def _take(self, steps: tuple[Step, ...], keys: tuple[NestedKey, ...], *columns: Tensor) -> dict[str, Tensor]:
+        history: dict[str, list[Tensor]] = {}
+        for step, *row in zip(steps, *columns, strict=True):
+            batch = TensorDict(dict(zip(keys, row, strict=True)), row[0].shape[:2])
+            for name, value in step(batch).items():
+                history.setdefault(name, []).append(value)
+        return {name: torch.stack(values) for name, values in history.items()}
 
     def prepare(self, batches: TensorDictBase) -> None:
         """Add random numbers that the losses need to ``batches`` [k, S, B]."""
@@ -246,27 +268,19 @@ class Agent(nn.Module, ABC):
     def actor_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the policy's loss ``[S, B]`` and metrics ``[S]``."""
 
-    def _batch(self, keys: tuple[NestedKey, ...], tensors: tuple[Tensor, ...]) -> TensorDict:
-        """One batch ``[S, B]`` of its entries' tensors."""
-        return TensorDict(dict(zip(keys, tensors, strict=True)), tensors[0].shape[:2])
-
-    def _learn_values(self, batch: TensorDictBase) -> dict[str, Tensor]:
+    def _critic_step(self, batch: TensorDictBase) -> dict[str, Tensor]:
         loss, info = self.value_loss(batch)
         loss = loss.mean(-1)
         self.critic_optimizer.step(torch.autograd.grad(loss.sum(), self._critic_params))
         return {"loss_critic": loss.detach(), **info}
 
-    def _critic_step(self, keys: tuple[NestedKey, ...], *tensors: Tensor) -> dict[str, Tensor]:
-        return self._learn_values(self._batch(keys, tensors))
-
-    def _critic_and_target_step(self, keys: tuple[NestedKey, ...], *tensors: Tensor) -> dict[str, Tensor]:
-        metrics = self._learn_values(self._batch(keys, tensors))
+    def _critic_and_target_step(self, batch: TensorDictBase) -> dict[str, Tensor]:
+        metrics = self._critic_step(batch)
         self.soft_update.step()
         return metrics
 
-    def _critic_and_policy_step(self, keys: tuple[NestedKey, ...], *tensors: Tensor) -> dict[str, Tensor]:
-        batch = self._batch(keys, tensors)
-        metrics = self._learn_values(batch)
+    def _critic_and_policy_step(self, batch: TensorDictBase) -> dict[str, Tensor]:
+        metrics = self._critic_step(batch)
         loss, info = self.actor_loss(batch)
         loss = loss.mean(-1)
         self.actor_optimizer.step(torch.autograd.grad(loss.sum(), self._actor_params))
