@@ -113,7 +113,7 @@ def _lift_state(module: GraphModule) -> list[Tensor]:
 
 def _compile(graph: GraphModule) -> Callable[..., Sequence[Tensor]]:
     os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(_cache() / "inductor"))  # PyTorch's own is in /tmp
-    return torch.compile(  # type: ignore[no-any-return]
+    return torch.compile(
         graph.forward,
         fullgraph=True,
         dynamic=False,

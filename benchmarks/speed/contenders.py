@@ -7,7 +7,6 @@ import copy
 import tempfile
 import time
 from collections.abc import Callable
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,9 @@ import torch
 from torch import Tensor, nn
 
 from .meter import Meter
+from .networks import Networks
 from .task import Config, PlainInsertion, configuration, success_rate
+from .torchrl_trainer import td3_trainer
 
 FAST = [
     "algorithm.agent.compiled=true",
@@ -100,31 +101,12 @@ def sbx(config: Config, options: argparse.Namespace, meter: Meter) -> None:
     stable_baselines(config, options, meter, "sbx")
 
 
-class _Networks:
-    """What the two hand-written TD3s below have in common."""
-
-    def __init__(self, agent: Config, inputs: int) -> None:
-        def mlp(size: int, out: int, *last: nn.Module) -> nn.Sequential:
-            sizes = [size, *agent["hidden"]]
-            hidden = [m for a, b in pairwise(sizes) for m in (nn.Linear(a, b), nn.ReLU())]
-            return nn.Sequential(*hidden, nn.Linear(sizes[-1], out), *last)
-
-        self.actor = mlp(inputs, 3, nn.Tanh())
-        self.critics = [mlp(inputs + 3, 1) for _ in range(2)]
-        nn.init.zeros_(self.actor[-2].weight)
-        nn.init.zeros_(self.actor[-2].bias)
-
-    def act(self, observation: np.ndarray) -> np.ndarray:
-        with torch.no_grad():
-            return np.asarray(self.actor(torch.from_numpy(observation)).numpy())
-
-
 def cleanrl(config: Config, options: argparse.Namespace, meter: Meter) -> None:
     """TD3 in one loop, in the manner of CleanRL's single file."""
     agent, trainer = config["algorithm"]["agent"], config["trainer"]
     env, test = PlainInsertion(config, trainer["seed"]), PlainInsertion(config, 0)
     size = env.observation_space.shape[0]
-    nets = _Networks(agent, size)
+    nets = Networks(agent, size)
     target = copy.deepcopy(nets)
     actor_optimizer = torch.optim.Adam(nets.actor.parameters(), agent["actor_lr"])
     critic_params = [p for critic in nets.critics for p in critic.parameters()]
@@ -168,73 +150,6 @@ def cleanrl(config: Config, options: argparse.Namespace, meter: Meter) -> None:
         _evaluate(options, meter, test, nets.act, step + 1)
 
 
-def torchrl(config: Config, options: argparse.Namespace, meter: Meter) -> None:
-    """TorchRL's own TD3 script: Collector, replay buffer, TD3Loss, Adam, SoftUpdate; one update per frame."""
-    from tensordict.nn import TensorDictModule, TensorDictSequential
-    from torchrl.collectors import Collector
-    from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
-    from torchrl.modules import AdditiveGaussianModule
-    from torchrl.objectives import SoftUpdate, TD3Loss
-
-    from rrl.trainers import assembly
-
-    agent, trainer = config["algorithm"]["agent"], config["trainer"]
-    env = assembly.environment(config).make(1)
-    env.set_seed(trainer["seed"])
-    nets = _Networks(agent, env.observation_spec["observation"].shape[-1])
-    actor = TensorDictModule(nets.actor, ["observation"], ["action"])
-
-    class Critic(nn.Module):
-        def __init__(self, network: nn.Module) -> None:
-            super().__init__()
-            self.network = network
-
-        def forward(self, observation: Tensor, action: Tensor) -> Tensor:
-            return self.network(torch.cat([observation, action], -1))  # type: ignore[no-any-return]
-
-    critics = [TensorDictModule(Critic(c), ["observation", "action"], ["state_action_value"]) for c in nets.critics]
-    loss = TD3Loss(
-        actor,
-        critics,
-        bounds=(-1.0, 1.0),
-        policy_noise=agent["target_noise"],
-        noise_clip=agent["target_noise_clip"],
-        loss_function="l2",
-    )
-    loss.make_value_estimator(gamma=agent["gamma"])
-    targets = SoftUpdate(loss, tau=agent["tau"])
-    actor_optimizer = torch.optim.Adam(loss.actor_network_params.values(True, True), agent["actor_lr"])
-    critic_optimizer = torch.optim.Adam(loss.qvalue_network_params.values(True, True), agent["critic_lr"])
-    sigma = config["algorithm"]["exploration"]["sigma"]
-    explore = AdditiveGaussianModule(env.action_spec, sigma_init=sigma, sigma_end=sigma, annealing_num_steps=1)
-    frames = trainer["steps_per_collection"]
-    collector = Collector(
-        env, TensorDictSequential(actor, explore), frames_per_batch=frames, total_frames=trainer["total_steps"]
-    )
-    replay = TensorDictReplayBuffer(storage=LazyTensorStorage(trainer["total_steps"]), batch_size=trainer["batch_size"])
-    keys = ["observation", "action", ("next", "observation"), ("next", "reward"), ("next", "done")]
-    done, updates = 0, 0
-    for data in collector:
-        data["next", "reward"] *= agent["reward_scale"]
-        replay.extend(data.reshape(-1).select(*keys, ("next", "terminated")))
-        done += frames
-        for _ in range(frames if done >= trainer["warmup_steps"] else 0):
-            sample = replay.sample()
-            value_loss, _ = loss.value_loss(sample)
-            critic_optimizer.zero_grad()
-            value_loss.backward()
-            critic_optimizer.step()
-            updates += 1
-            if updates % agent["policy_delay"] == 0:
-                actor_loss, _ = loss.actor_loss(sample)
-                actor_optimizer.zero_grad()
-                actor_loss.backward()
-                actor_optimizer.step()
-                targets.step()
-        meter.step(done)
-    collector.shutdown()
-
-
 def _evaluate(
     options: argparse.Namespace,
     meter: Meter,
@@ -254,7 +169,7 @@ CONTENDERS: dict[str, Callable[..., None]] = {
     "sb3": stable_baselines,
     "sbx": sbx,
     "cleanrl": cleanrl,
-    "torchrl": torchrl,
+    "torchrl": td3_trainer,
 }
 
 

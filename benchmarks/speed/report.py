@@ -21,7 +21,7 @@ LABELS = {
     "sb3": "Stable-Baselines3",
     "sbx": "SBX (JAX)",
     "cleanrl": "CleanRL style",
-    "torchrl": "TorchRL's TD3 script",
+    "torchrl": "TorchRL's TD3Trainer",
 }
 
 
