@@ -111,8 +111,9 @@ class Agent(nn.Module, ABC):
     def __init_subclass__(cls, **arguments: Any) -> None:
         """Show in the signature what ``**hyperparameters`` passes on; checks of a configuration read it."""
         super().__init_subclass__(**arguments)
-        base, own = (inspect.signature(kind.__init__).parameters for kind in (Agent, cls))
-        shown = [p for p in {**base, **own}.values() if p.kind is not p.VAR_KEYWORD]
+        kinds = [kind for kind in reversed(cls.__mro__) if issubclass(kind, Agent)]
+        parameters = {name: p for kind in kinds for name, p in inspect.signature(kind.__init__).parameters.items()}
+        shown = [p for p in parameters.values() if p.kind is not p.VAR_KEYWORD]
         cls.__signature__ = inspect.Signature(shown[1:])  # without self
 
     # ---------------------------------------------------------------- construction

@@ -16,7 +16,8 @@ from torch import Tensor, nn
 from torchrl.objectives import SACLoss
 
 from rrl.adam import Adam
-from rrl.algorithms.base import Agent, check
+from rrl.algorithms.base import check
+from rrl.algorithms.ensemble import EnsembleAgent, EnsembleSACLoss
 from rrl.algorithms.squashed_gaussian import GaussianHead, SquashedGaussian, SquashedGaussianPolicy
 from rrl.keys import ACTION
 from rrl.networks import StackedMLP
@@ -27,7 +28,7 @@ TEMPERATURE = "temperature"
 ACTING = "sac_policy"
 
 
-class SAC(Agent):
+class SAC(EnsembleAgent):
     """Soft actor-critic (Haarnoja et al., 2018) for ``S`` independent seeds at once, with learned temperatures.
 
     The policy is stochastic and explores by itself: combine it with :class:`rrl.exploration.NoExploration`. Its noise,
@@ -40,7 +41,7 @@ class SAC(Agent):
         temperature_lr: learning rate of the temperatures.
         initial_temperature: weight of the entropy at the start.
         target_entropy: the entropy that the temperature is tuned to, in nats; None: minus the action's size.
-        input_sizes, action_size, hyperparameters: see :class:`Agent`.
+        input_sizes, action_size, hyperparameters: see :class:`EnsembleAgent`.
 
     """
 
@@ -63,9 +64,11 @@ class SAC(Agent):
         self.log_temperature = nn.Parameter(torch.full((self.num_seeds, 1), initial_temperature).log())
         self.temperature_optimizer = Adam([self.log_temperature], temperature_lr)
         self.head = GaussianHead(initial_std)
-        loss = SACLoss(
+        make_loss = EnsembleSACLoss if self.is_ensemble else SACLoss
+        loss = make_loss(
             self._make_stochastic_actor(),
-            self.make_critics(2),
+            self.make_critics(self.num_critics),
+            num_qvalue_nets=self.num_critics,
             loss_function=self.loss_function,
             # SACLoss has one temperature for a whole batch; a stack's are in the distribution
             alpha_init=1.0,
@@ -107,9 +110,10 @@ class SAC(Agent):
         )
 
     def prepare(self, batches: TensorDictBase) -> None:
-        """Draw the noise of the actions that the losses sample."""
+        """Draw the noise of the actions that the losses sample, and the critics of each target."""
         batches[NOISE] = self.draw(batches[ACTION].shape)
         batches["next", NOISE] = self.draw(batches[ACTION].shape)
+        super().prepare(batches)
 
     def _set_temperature(self, batch: TensorDictBase) -> None:
         temperature = self.temperature.expand(batch.shape)
@@ -117,7 +121,7 @@ class SAC(Agent):
         batch["next", TEMPERATURE] = temperature
 
     def value_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the sum of the two critics' losses, with ``td_error``."""
+        """Return the sum of the critics' losses, with ``td_error``."""
         self._set_temperature(batch)
         loss, info = self.loss.qvalue_v2_loss(batch)
         return loss, {"td_error": info["td_error"].mean(-1)}

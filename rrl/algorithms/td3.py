@@ -9,8 +9,8 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
 from torch import Tensor
 
-from rrl.algorithms.base import Agent, check
-from rrl.algorithms.ensemble import SUBSET, EnsembleTD3Loss, draw_subsets
+from rrl.algorithms.base import check
+from rrl.algorithms.ensemble import EnsembleAgent, EnsembleTD3Loss
 from rrl.keys import ACTION
 
 SMOOTHING = "target_smoothing"
@@ -52,21 +52,16 @@ class TwinTD3Loss(EnsembleTD3Loss):
         return -value, {"state_action_value_actor": value.detach()}
 
 
-class TD3(Agent):
+class TD3(EnsembleAgent):
     """Twin delayed DDPG (Fujimoto et al., 2018) for ``S`` independent seeds at once.
 
     The paper's choice of algorithm (section III-B). Policy *and* targets move on every ``policy_delay``-th update.
-    With more critics, or a target of fewer, it learns in the manner of REDQ (Chen et al., 2021): each target is the
-    least of a random subset of the critics, the policy climbs the mean of all. Together with ``layer_norm`` and several
-    updates a step that is DroQ (Hiraoka et al., 2022) without its dropout.
 
     Args:
         policy_delay: critic updates per update of policy and targets.
         target_noise, target_noise_clip: standard deviation and bound of target policy smoothing.
-        num_critics: size of the ensemble; with 2, and both in the target, it is TD3 itself.
-        target_subset: how many critics, drawn anew for every update, make the target.
         residual_penalty: weight of the mean squared action in the policy's loss, in units of the critics' value.
-        input_sizes, action_size, hyperparameters: see :class:`Agent`.
+        input_sizes, action_size, hyperparameters: see :class:`EnsembleAgent`.
 
     """
 
@@ -80,27 +75,22 @@ class TD3(Agent):
         policy_delay: int = 2,
         target_noise: float = 0.2,
         target_noise_clip: float = 0.5,
-        num_critics: int = 2,
-        target_subset: int = 2,
         residual_penalty: float = 0.0,
         **hyperparameters: Any,
     ) -> None:
         super().__init__(input_sizes, action_size, policy_delay=policy_delay, **hyperparameters)
         check("target_noise", target_noise, "a standard deviation of 0 or more", target_noise >= 0)
         check("target_noise_clip", target_noise_clip, "a bound of 0 or more", target_noise_clip >= 0)
-        of_all = f"1 to num_critics ({num_critics}) critics"
-        check("target_subset", target_subset, of_all, 1 <= target_subset <= num_critics)
         check("residual_penalty", residual_penalty, "a weight of 0 or more", residual_penalty >= 0)
         self.target_noise, self.target_noise_clip = target_noise, target_noise_clip
-        self.num_critics, self.target_subset = num_critics, target_subset
         self.residual_penalty = residual_penalty
         actor = TensorDictModule(self.make_actor(action_size, squash=True), self.input_keys, [ACTION])
-        make_loss = TwinTD3Loss if (num_critics, target_subset) == (2, 2) else EnsembleTD3Loss
+        make_loss = EnsembleTD3Loss if self.is_ensemble else TwinTD3Loss
         loss = make_loss(
             TensorDictSequential(actor, TargetSmoothing()),
             # a list keeps each critic's own initialisation: TD3Loss would redraw copies of a single one
-            self.make_critics(num_critics),
-            num_qvalue_nets=num_critics,
+            self.make_critics(self.num_critics),
+            num_qvalue_nets=self.num_critics,
             bounds=(-1.0, 1.0),
             policy_noise=0.0,  # see TargetSmoothing
             loss_function=self.loss_function,
@@ -111,9 +101,7 @@ class TD3(Agent):
     def prepare(self, batches: TensorDictBase) -> None:
         """Draw the noise of target policy smoothing and the critics of each target."""
         batches["next", SMOOTHING] = self._draw_smoothing(batches[ACTION].shape)
-        if self.target_subset < self.num_critics:
-            subsets = draw_subsets(self._noise, len(batches), self.num_critics, self.target_subset)
-            batches["next", SUBSET] = subsets.unsqueeze(2).expand(*batches.shape, -1)
+        super().prepare(batches)
 
     def _draw_smoothing(self, shape: torch.Size) -> Tensor:
         clip = self.target_noise_clip

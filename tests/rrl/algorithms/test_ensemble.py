@@ -1,17 +1,20 @@
-"""Ensembles of critics under TD3: what the target and the policy see of them."""
+"""Ensembles of critics: what the target and the policy see of them."""
 
 import copy
 
 import pytest
 import torch
 from tensordict import TensorDict
-from torchrl.objectives import TD3Loss
+from torchrl.objectives import SACLoss, TD3Loss
 
 from agents import BATCH, OBSERVATION, batches, critics, make_agent, parameters
-from rrl.algorithms.ensemble import SUBSET, EnsembleTD3Loss, draw_subsets
+from rrl.algorithms import SAC, TD3
+from rrl.algorithms.ensemble import SUBSET, EnsembleSACLoss, EnsembleTD3Loss, draw_subsets
 from rrl.random import SlotGenerators
 
 ENSEMBLE = {"num_critics": 5, "target_subset": 2, "layer_norm": True, "last_layer_bound": 0.1}
+
+each_algorithm = pytest.mark.parametrize("algorithm", [TD3, SAC])
 
 
 def moved(agent):
@@ -52,6 +55,33 @@ def test_the_policy_climbs_the_mean_of_all():
     torch.testing.assert_close(agent.actor_loss(batch)[0], -values.mean(0))
 
 
+def test_sacs_target_is_the_least_of_the_drawn_critics_and_its_policy_climbs_the_mean_of_all():
+    agent = moved(make_agent(SAC, num_seeds=3, **ENSEMBLE))
+    batch = prepared(agent)
+    agent._set_temperature(batch)
+    dist = agent.loss.actor_network.get_dist(batch["next"].clone())
+    action, log_prob = dist.rsample_and_log_prob()
+    target_critics = critics(agent, "target_qvalue_network_params")
+    following = torch.stack([q(batch["next", "observation"], action) for q in target_critics], -1)
+    least = following[batch["next", SUBSET]].reshape(3, BATCH, 2).amin(-1)
+    worth = agent.loss.qvalue_v2_loss(batch)[1]["next_state_value"]
+    torch.testing.assert_close(worth, (least - log_prob).detach())
+    action, log_prob = agent.loss.actor_network.get_dist(batch.clone()).rsample_and_log_prob()
+    values = torch.stack([q(batch["observation"], action) for q in critics(agent, "qvalue_network_params")])
+    torch.testing.assert_close(agent.loss.actor_loss(batch.clone())[0], log_prob - values.mean(0))
+
+
+def test_sac_of_two_critics_with_both_in_the_target_is_torchrls():
+    assert type(make_agent(SAC).loss) is SACLoss
+    agent = moved(make_agent(SAC, num_seeds=2, num_critics=2, target_subset=1))
+    batch = prepared(agent)
+    del batch["next", SUBSET]  # all of them
+    agent._set_temperature(batch)
+    mine, torchrls = (kind.qvalue_v2_loss(agent.loss, batch.clone()) for kind in (EnsembleSACLoss, SACLoss))
+    torch.testing.assert_close(mine[0], torchrls[0])
+    torch.testing.assert_close(mine[1]["td_error"], torchrls[1]["td_error"])
+
+
 def test_two_critics_with_both_in_the_target_have_torchrls_losses_and_gradients():
     agent = moved(make_agent(num_seeds=2, last_layer_bound=0.1))
     batch = prepared(agent)
@@ -81,8 +111,12 @@ def test_a_seed_draws_its_own_subsets():
     assert not torch.equal(stack[:, 0], stack[:, 1])
 
 
-def test_a_seed_learns_in_a_stack_what_it_learns_alone():
-    stack, alone = make_agent(num_seeds=3, seed=5, **ENSEMBLE), make_agent(num_seeds=1, seed=6, **ENSEMBLE)
+@each_algorithm
+def test_a_seed_learns_in_a_stack_what_it_learns_alone(algorithm):
+    stack, alone = (
+        make_agent(algorithm, num_seeds=3, seed=5, **ENSEMBLE),
+        make_agent(algorithm, num_seeds=1, seed=6, **ENSEMBLE),
+    )
     data = batches(6, 3)
     stack.update(data.clone())
     alone.update(data[:, 1:2].clone())
@@ -90,8 +124,9 @@ def test_a_seed_learns_in_a_stack_what_it_learns_alone():
         torch.testing.assert_close(mine, other, rtol=1e-4, atol=1e-5)
 
 
-def test_state_dict_restores_the_next_subsets():
-    agent, other = make_agent(num_seeds=2, **ENSEMBLE), make_agent(num_seeds=2, seed=7, **ENSEMBLE)
+@each_algorithm
+def test_state_dict_restores_the_next_subsets(algorithm):
+    agent, other = (make_agent(algorithm, num_seeds=2, seed=seed, **ENSEMBLE) for seed in (0, 7))
     agent.update(batches(3, 2))
     other.load_state_dict(copy.deepcopy(agent.state_dict()))
     for learner in (agent, other):
@@ -100,17 +135,18 @@ def test_state_dict_restores_the_next_subsets():
         assert torch.equal(value, parameters(other)[name]), name
 
 
-def test_the_global_generator_is_left_alone():
-    agent, before = make_agent(num_seeds=2, **ENSEMBLE), torch.get_rng_state()
+@each_algorithm
+def test_the_global_generator_is_left_alone(algorithm):
+    agent, before = make_agent(algorithm, num_seeds=2, **ENSEMBLE), torch.get_rng_state()
     agent.update(batches(3, 2))
     assert torch.equal(before, torch.get_rng_state())
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # the compiler warns of its own doings
-def test_the_compiled_update_equals_the_eager_one():
-    arguments = {**ENSEMBLE, "residual_penalty": 0.1}
-    eager, compiled = make_agent(num_seeds=2, **arguments), make_agent(num_seeds=2, **arguments, compiled=True)
+@pytest.mark.parametrize(("algorithm", "more"), [(TD3, {"residual_penalty": 0.1}), (SAC, {})])
+def test_the_compiled_update_equals_the_eager_one(algorithm, more):
+    eager, compiled = (make_agent(algorithm, num_seeds=2, **ENSEMBLE, **more, compiled=c) for c in (False, True))
     for learner in (eager, compiled):
         learner.update(batches(10, 2))
     for name, value in parameters(eager).items():
