@@ -154,7 +154,7 @@ class EnsembleSACLoss(_Ensemble, SACLoss):
             set_exploration_type(ExplorationType.RANDOM),
             self.actor_network_params.to_module(self.actor_network, preserve_module_state=False),
         ):
-            return compute_rsample_log_prob(self.actor_network.get_dist(tensordict))  # type: ignore[no-any-return]
+            return compute_rsample_log_prob(self.actor_network.get_dist(tensordict))
 
     def _values(self, tensordict: TensorDictBase, params: TensorDictParams) -> Tensor:
         inputs = tensordict.select(*self.qvalue_network.in_keys, strict=False)
