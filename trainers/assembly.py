@@ -48,7 +48,15 @@ def environment(config: Config) -> EnvironmentFactory:
         batching=env["batching"],
         max_episode_steps=env["max_episode_steps"],
         action_history=env.get("action_history", 1),
+        symmetries=env.get("symmetries") or {},
     )
+
+
+def agent(config: Config) -> Any:
+    """A factory of learners; they know the task's symmetry if the algorithm uses it and the environment has one."""
+    make = build(config["algorithm"]["agent"])
+    symmetry = environment(config).symmetry() if config["algorithm"].get("use_symmetries") else None
+    return make if symmetry is None else partial(make, symmetry=symmetry)
 
 
 def scenarios(config: Config) -> dict[str, EnvironmentFactory]:
@@ -68,7 +76,7 @@ def trainer(config: Config, run_dir: Path, progress: Progress | None = None) -> 
     return Trainer(
         settings(config),
         environment(config),
-        build(config["algorithm"]["agent"]),
+        agent(config),
         build(config["algorithm"]["exploration"]),
         run_dir,
         scenarios=scenarios(config),

@@ -15,7 +15,7 @@ from torchrl.data import Bounded
 from rrl.keys import BASE_ACTION, PREVIOUS_ACTION
 
 from .config import Positive, TrainerSettings
-from .environment import Batching, Input
+from .environment import Batching, EnvironmentFactory, Input
 from .layout import CONFIG_FILE
 
 Config = Mapping[str, Any]
@@ -53,6 +53,7 @@ class _Env(_Section):
     scenarios: Annotated[dict[PlainName, dict[str, Any] | None], Field(min_length=1)]
     residual_scale: Scale = 1.0
     action_history: Positive = 1
+    symmetries: dict[str, dict[str, list[int]]] | None = None
     sensing: Targets = None
     renderer: Target | None = None
 
@@ -60,6 +61,7 @@ class _Env(_Section):
 class _Algorithm(_Section):
     agent: Target
     exploration: Target
+    use_symmetries: bool = False
 
 
 class _InitFrom(_Section):
@@ -209,6 +211,7 @@ def _check_entries(config: Config) -> Problems:
             yield f"env.inputs.{key}: expected loc and scale, got {', '.join(unknown)}"
             return
     sizes = entries(config["env"]["base"])
+    yield from _check_symmetries(config["env"], sizes)
     if sizes is None:
         return
     known = ", ".join(sorted(sizes))
@@ -223,6 +226,21 @@ def _check_entries(config: Config) -> Problems:
     for key in controller.in_keys:
         if isinstance(key, str) and key not in sizes:
             yield f"controller: reads {key!r}, which the environment does not have; it has {known}"
+
+
+def _check_symmetries(env: Config, sizes: dict[str, int] | None) -> Problems:
+    inputs = {key: Input(**(entry or {})) for key, entry in env["inputs"].items()}
+    mirrors = env.get("symmetries") or {}
+    for name, maps in mirrors.items():
+        for key in set(maps) & set(sizes or ()):
+            if len(maps[key]) != (sizes or {})[key]:
+                yield f"env.symmetries.{name}.{key}: expected {(sizes or {})[key]} numbers, got {maps[key]}"
+                return
+    unbuilt = EnvironmentFactory(None, None, inputs, action_history=env.get("action_history", 1), symmetries=mirrors)  # type: ignore[arg-type]
+    try:
+        unbuilt.symmetry()
+    except ValueError as error:
+        yield f"env.{error}"
 
 
 def _check_columns(path: str, entry: Input, size: int) -> Problems:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal
 
@@ -20,7 +20,8 @@ from torchrl.envs.transforms import (
     Transform,
 )
 
-from rrl.keys import OBSERVATION, PREVIOUS_ACTION
+from rrl.keys import ACTION, BASE_ACTION, OBSERVATION, PREVIOUS_ACTION
+from rrl.symmetry import Symmetry, as_map
 from rrl.transforms import ActionHistory, ResidualAction
 
 Batching = Literal["native", "serial", "parallel"]
@@ -77,6 +78,9 @@ class EnvironmentFactory:
             ``parallel`` to run each copy in its own process.
         max_episode_steps: bound on an episode's length, for evaluation.
         action_history: how many actions ``previous_action`` holds, if the policy reads it.
+        symmetries: mirrors of the task by name, each with a map (:class:`rrl.symmetry.Symmetry`) of ``action`` and of
+            every input but ``base_action`` and ``previous_action``, which are actions. A mirror goes through the
+            inputs' ``loc``.
 
     """
 
@@ -90,6 +94,7 @@ class EnvironmentFactory:
     batching: Batching = "native"
     max_episode_steps: int = 1000
     action_history: int = 1
+    symmetries: Mapping[str, Mapping[str, Sequence[int]]] = field(default_factory=dict)
 
     def with_overrides(self, **overrides: Any) -> EnvironmentFactory:
         """The same chain on a base environment with other arguments (another scenario)."""
@@ -126,6 +131,35 @@ class EnvironmentFactory:
 
         return TensorDictModule(concatenate, in_keys=list(entries), out_keys=[OBSERVATION])
 
+    def symmetry(self) -> Symmetry | None:
+        """The symmetry of what the policy reads and says; None if there are no mirrors.
+
+        Raises:
+            ValueError: if a mirror lacks an input's map, or has one that is no map or does not fit ``scale``.
+
+        """
+        if not self.symmetries:
+            return None
+        mirrors = []
+        for name, given in self.symmetries.items():
+            try:
+                maps = {key: as_map(key, numbers) for key, numbers in given.items()}
+                parts = [self._map(key, entry, maps) for key, entry in self._inputs().items()]
+                mirrors.append((_joined(parts), maps[ACTION]))
+            except KeyError as missing:
+                raise ValueError(f"symmetries.{name}: expected a map of {missing}, got {sorted(given)}") from None
+            except ValueError as error:
+                raise ValueError(f"symmetries.{name}.{error}") from None
+        return Symmetry(mirrors)
+
+    def _map(self, key: str, entry: Input, maps: Mapping[str, Sequence[int]]) -> Sequence[int]:
+        if key in (BASE_ACTION, PREVIOUS_ACTION):
+            return _joined([maps[ACTION]] * (self.action_history if key == PREVIOUS_ACTION else 1))
+        scale = entry.column(key, entry.scale, len(maps[key]))
+        if any(scale[abs(i) - 1] != scale[n] for n, i in enumerate(maps[key])):
+            raise ValueError(f"{key}: expected equal scales of numbers that the mirror exchanges, got {entry.scale}")
+        return maps[key]
+
     def _inputs(self) -> dict[str, Input]:
         if isinstance(self.inputs, Mapping):
             return dict(self.inputs)
@@ -156,3 +190,12 @@ class EnvironmentFactory:
         env.append_transform(CatTensors(in_keys=keys, out_key=OBSERVATION, del_keys=False, sort=False))
         scales = torch.cat(scale)
         env.append_transform(ObservationNorm(loc=-torch.cat(loc) * scales, scale=scales, in_keys=[OBSERVATION]))
+
+
+def _joined(maps: Sequence[Sequence[int]]) -> list[int]:
+    """One map of vectors that stand one after the other."""
+    joined: list[int] = []
+    for numbers in maps:
+        offset = len(joined)
+        joined += [i + offset if i > 0 else i - offset for i in numbers]
+    return joined

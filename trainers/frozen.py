@@ -46,7 +46,7 @@ def run_config(run: str | Path | None) -> dict[str, Any]:
 def trained_agent(config: Config, run_dir: Path) -> tuple[Agent, Path]:
     """The agent of a run's newest whole checkpoint, and that checkpoint."""
     settings, env = assembly.settings(config), assembly.environment(config).make(1)
-    agent: Agent = assembly.build(config["algorithm"]["agent"])(
+    agent: Agent = assembly.agent(config)(
         input_sizes={OBSERVATION: env.observation_spec[OBSERVATION].shape[-1]},
         action_size=env.full_action_spec[ACTION].shape[-1],
         num_seeds=settings.num_seeds,

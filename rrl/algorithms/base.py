@@ -20,6 +20,7 @@ from rrl.compilation import CompiledUpdate, can_compile
 from rrl.keys import ACTION
 from rrl.networks import StackedMLP
 from rrl.random import SlotGenerators
+from rrl.symmetry import SymmetricActor, Symmetry
 
 __all__ = ["Agent", "check"]
 
@@ -58,6 +59,8 @@ class Agent(nn.Module, ABC):
         loss_function: the critics' loss, ``"l2"``, ``"l1"`` or ``"smooth_l1"``.
         reward_scale: factor on the stored reward before the critics see it.
         compiled: compile the whole update into one graph.
+        symmetry: of the task; the learners then learn from randomly chosen mirror images of their transitions, and act
+            as the mean over all images (:class:`rrl.symmetry.SymmetricActor`).
 
     Raises:
         ValueError: a hyperparameter out of its range.
@@ -89,6 +92,7 @@ class Agent(nn.Module, ABC):
         loss_function: str = "l2",
         reward_scale: float = 1.0,
         compiled: bool = False,
+        symmetry: Symmetry | None = None,
     ) -> None:
         super().__init__()
         check("gamma", gamma, "a discount in [0, 1)", 0 <= gamma < 1)
@@ -107,6 +111,13 @@ class Agent(nn.Module, ABC):
         self._in_size = sum(input_sizes.values())
         self._generators = [torch.Generator().manual_seed(seed + k) for k in range(num_seeds)]
         self._noise = SlotGenerators(seed, num_seeds, stream=self.stream)
+        self._images = SlotGenerators(seed, num_seeds, stream="images")
+        self.symmetry = symmetry
+        if symmetry is not None:
+            sizes, expected = (symmetry.observation_size, symmetry.action_size), (self._in_size, action_size)
+            maps = f"maps of {expected[0]} numbers of observation and {expected[1]} of action"
+            check("symmetry", sizes, maps, sizes == expected)
+            check("symmetry", self.input_keys, "one observation entry", len(self.input_keys) == 1)
 
     def __init_subclass__(cls, **arguments: Any) -> None:
         """Show in the signature what ``**hyperparameters`` passes on; checks of a configuration read it."""
@@ -182,15 +193,18 @@ class Agent(nn.Module, ABC):
     @property
     def policy(self) -> TensorDictModuleBase:
         """The policies of all seeds: input keys ``[S * E, ...]``, seed-major, to ``action`` in [-1, 1]."""
-        return self.wrap(self._actor, self.seed)
+        return self.wrap(self._symmetric(self._actor), self.seed)
 
     def policy_of(self, k: int) -> TensorDictModuleBase:
         """A copy of seed ``k``'s policy that accepts any batch size."""
         actor = StackedMLP(1, generators=[torch.Generator()], **self._actor_arguments)
         actor.load_state_dict({n: p[k : k + 1] for n, p in self._actor.state_dict().items()})
-        return self.wrap(actor, self.seed + k)
+        return self.wrap(self._symmetric(actor), self.seed + k)
 
-    def wrap(self, actor: StackedMLP, seed: int) -> TensorDictModuleBase:
+    def _symmetric(self, actor: StackedMLP) -> StackedMLP | SymmetricActor:
+        return actor if self.symmetry is None else SymmetricActor(actor, self.symmetry)
+
+    def wrap(self, actor: StackedMLP | SymmetricActor, seed: int) -> TensorDictModuleBase:
         """Make a policy of an actor network; ``seed`` is the first seed of its stack."""
         return TensorDictModule(actor, in_keys=self.input_keys, out_keys=[ACTION])
 
@@ -210,6 +224,8 @@ class Agent(nn.Module, ABC):
         """
         following = batches["next"]
         following["reward"] = following["reward"] * self.reward_scale
+        if self.symmetry is not None:
+            self._reflect(batches, self.symmetry)
         self.prepare(batches)
         entries = sorted(batches.items(True, True), key=lambda item: str(item[0]))
         keys, columns = tuple(key for key, _ in entries), [value.contiguous() for _, value in entries]
@@ -253,6 +269,14 @@ class Agent(nn.Module, ABC):
                 history.setdefault(name, []).append(value)
         return {name: torch.stack(values) for name, values in history.items()}
 
+    def _reflect(self, batches: TensorDictBase, symmetry: Symmetry) -> None:
+        """Put a mirror image, drawn by the transition's seed, in the place of each transition."""
+        k, _, batch = batches.shape
+        which = self._images.integers(symmetry.num_images, (k, batch)).transpose(0, 1)  # drawn as (S, k, B)
+        for key in (self.input_keys[0], ("next", self.input_keys[0])):
+            batches[key] = symmetry.reflect(batches[key], which)
+        batches[ACTION] = symmetry.reflect_action(batches[ACTION], which)
+
     def prepare(self, batches: TensorDictBase) -> None:
         """Add random numbers that the losses need to ``batches`` [k, S, B]."""
 
@@ -291,13 +315,15 @@ class Agent(nn.Module, ABC):
     # ---------------------------------------------------------------- state
 
     def get_extra_state(self) -> dict[str, Any]:
-        """What a checkpoint needs beyond tensors: the update counter and the generators of the losses' noise."""
-        return {"num_updates": self.num_updates, "noise": self._noise.state_dict()}
+        """What a checkpoint needs beyond tensors: the update counter and the generators of noise and images."""
+        generators = {"noise": self._noise.state_dict(), "images": self._images.state_dict()}
+        return {"num_updates": self.num_updates, **generators}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore :meth:`get_extra_state`."""
         self.num_updates = state["num_updates"]
         self._noise.load_state_dict(state["noise"])
+        self._images.load_state_dict(state["images"])
 
 
 def check(name: str, value: object, expected: str, fine: bool) -> None:

@@ -22,6 +22,7 @@ from rrl.algorithms.squashed_gaussian import GaussianHead, SquashedGaussian, Squ
 from rrl.keys import ACTION
 from rrl.networks import StackedMLP
 from rrl.random import SlotGenerators
+from rrl.symmetry import SymmetricActor
 
 NOISE = "action_noise"
 TEMPERATURE = "temperature"
@@ -101,9 +102,9 @@ class SAC(EnsembleAgent):
     @property
     def policy(self) -> TensorDictModuleBase:
         """The stochastic policies of all seeds; deterministic, tanh of the mean, without exploration."""
-        return SquashedGaussianPolicy(self._actor, self.head, self.input_keys, self._acting)
+        return SquashedGaussianPolicy(self._symmetric(self._actor), self.head, self.input_keys, self._acting)
 
-    def wrap(self, actor: StackedMLP, seed: int) -> TensorDictModuleBase:
+    def wrap(self, actor: StackedMLP | SymmetricActor, seed: int) -> TensorDictModuleBase:
         """Make a stochastic policy with noise of its own."""
         return SquashedGaussianPolicy(
             actor, self.head, self.input_keys, SlotGenerators(seed, actor.num_seeds, stream=ACTING)

@@ -16,6 +16,7 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 from rrl.keys import ACTION
 from rrl.networks import StackedMLP
 from rrl.random import SlotGenerators
+from rrl.symmetry import SymmetricActor
 
 __all__ = ["GaussianHead", "SquashedGaussian", "SquashedGaussianPolicy"]
 
@@ -89,7 +90,11 @@ class SquashedGaussianPolicy(TensorDictModuleBase):
     """
 
     def __init__(
-        self, network: StackedMLP, head: GaussianHead, in_keys: Sequence[NestedKey], generators: SlotGenerators
+        self,
+        network: StackedMLP | SymmetricActor,
+        head: GaussianHead,
+        in_keys: Sequence[NestedKey],
+        generators: SlotGenerators,
     ) -> None:
         super().__init__()
         self.in_keys, self.out_keys = list(in_keys), [ACTION]

@@ -26,6 +26,7 @@ BROKEN = {
     "+controller.gian=0.1": ["controller", "does not take 'gian'", "gain"],
     "+env.base.clearence=0.1": [BASE, "'clearence'", "clearance"],
     "+env.inputs.goal.mean=0.1": ["env.inputs.goal", "expected loc and scale", "mean"],
+    "+env.symmetry={}": ["env.symmetry: unknown key"],
     # unknown choices
     "env=insertion-mars": ["insertion-mars"],
     "algorithm=ppo": ["ppo"],
@@ -86,7 +87,11 @@ BROKEN = {
     "render.fps=0": ["render.fps", "greater than 0"],
     "render.seed=1": ["render.seed", "trainer.num_seeds (1)", "1"],
     # contradictions
-    "trainer.total_steps=300": ["warmup_steps (300)", "total_steps (300)"],
+    "env.symmetries.left_right.goal=[1,2]": ["env.symmetries.left_right.goal", "3 numbers", "[1, 2]"],
+    "env.symmetries.left_right.goal=[1,2,2]": ["env.symmetries", "each of the numbers 1 to 3 once"],
+    "~env.symmetries.left_right.goal": ["env.symmetries.left_right", "a map of 'goal'"],
+    "env.symmetries.left_right.end_effector_position=[1,3,2]": ["end_effector_position: expected equal scales"],
+    "trainer.total_steps=200": ["warmup_steps (200)", "total_steps (200)"],
     "trainer.steps_per_collection=30": ["total_steps (10000)", "steps_per_collection", "30"],
     "trainer.updates_per_step=0.333": ["updates_per_step (0.333)", "whole number"],
     "trainer.buffer_capacity=100": ["buffer_capacity (100)", "batch (128)"],

@@ -1,0 +1,142 @@
+"""Mirror images of a task: what is learned on one side holds on the other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import torch
+from torch import Tensor, nn
+
+from rrl.networks import StackedMLP
+
+__all__ = ["SymmetricActor", "Symmetry", "as_map"]
+
+Map = tuple[int, ...]
+"""A signed permutation: number ``i`` of the image is number ``abs(map[i])``, counted from 1, of the original, times the
+map's sign."""
+
+MOST_IMAGES = 64
+
+
+class Symmetry:
+    """The group of images that some mirrors generate, the original first.
+
+    Two mirrors, left-right and front-back, give four images. A transition's image is a transition of the same task with
+    the same reward.
+
+    Args:
+        mirrors: for each mirror the map of the observation and the map of the action, such as ``(-1, 2)`` for two
+            numbers of which the mirror turns the first. Centres of mirroring must be 0: see
+            :class:`rrl.trainers.environment.Input`.
+
+    Raises:
+        ValueError: if a map is no signed permutation, the maps' lengths differ between mirrors, or there are more than
+            64 images.
+
+    """
+
+    def __init__(self, mirrors: Sequence[tuple[Sequence[int], Sequence[int]]]) -> None:
+        maps = [(as_map("observation", observation), as_map("action", action)) for observation, action in mirrors]
+        sizes = {(len(observation), len(action)) for observation, action in maps}
+        if len(sizes) != 1:
+            raise ValueError(f"mirrors: expected maps of the same lengths, at least one, got {sorted(sizes)}")
+        self.observation_size, self.action_size = next(iter(sizes))
+        group = _generated(maps)
+        self.num_images = len(group)
+        back = [next(other for other in group if _after(other, image) == group[0]) for image in group]
+        self._observation = _Maps([observation for observation, _ in group])
+        self._action = _Maps([action for _, action in group])
+        self._action_back = _Maps([action for _, action in back])
+
+    def images(self, observation: Tensor) -> Tensor:
+        """Return all images of ``observation`` [..., n], ``[..., G, n]``."""
+        return self._observation.all(observation)
+
+    def reflect(self, observation: Tensor, which: Tensor) -> Tensor:
+        """Return image ``which`` [...], from 0 to G - 1, of each ``observation`` [..., n]."""
+        return self._observation.one(observation, which)
+
+    def reflect_action(self, action: Tensor, which: Tensor) -> Tensor:
+        """Return image ``which`` [...] of each ``action`` [..., m]."""
+        return self._action.one(action, which)
+
+    def return_actions(self, actions: Tensor, signed: bool = True) -> Tensor:
+        """Return what each image's action ``[..., G, m]`` is in the original; magnitudes are not ``signed``."""
+        return self._action_back.each(actions, signed)
+
+
+class SymmetricActor(nn.Module):
+    """The mean over all images of what ``actor`` says: the images of an observation get images of one action.
+
+    Args:
+        actor: from observations to one or more numbers for each dimension of the action; the first are signed, all
+            further ones magnitudes.
+        symmetry: of the task.
+
+    """
+
+    def __init__(self, actor: StackedMLP, symmetry: Symmetry) -> None:
+        super().__init__()
+        self.actor, self.symmetry = actor, symmetry
+        self.num_seeds = actor.num_seeds
+
+    def forward(self, *inputs: Tensor) -> Tensor:
+        """Map ``[..., n]`` to ``[..., out]``."""
+        said = self.actor(self.symmetry.images(torch.cat(inputs, -1)))  # (..., G, out)
+        signed, *magnitudes = said.split(self.symmetry.action_size, -1)
+        parts = [self.symmetry.return_actions(signed)]
+        parts += [self.symmetry.return_actions(part, signed=False) for part in magnitudes]
+        return torch.cat(parts, -1).mean(-2)
+
+
+class _Maps:
+    """Signed permutations of vectors, as indices and signs ``[G, n]``."""
+
+    def __init__(self, maps: Sequence[Map]) -> None:
+        table = torch.tensor(maps)
+        self.index, self.sign = table.abs() - 1, table.sign().float()
+
+    def all(self, x: Tensor) -> Tensor:
+        return x[..., self.index] * self.sign
+
+    def one(self, x: Tensor, which: Tensor) -> Tensor:
+        return x.gather(-1, self.index[which]) * self.sign[which]
+
+    def each(self, x: Tensor, signed: bool) -> Tensor:
+        moved = x.gather(-1, self.index.expand_as(x))
+        return moved * self.sign if signed else moved
+
+
+def as_map(name: str, given: Sequence[int]) -> Map:
+    """``given`` as a map.
+
+    Raises:
+        ValueError: if it is no signed permutation; the message starts with ``name``.
+
+    """
+    numbers = tuple(given)
+    if not numbers or sorted(map(abs, numbers)) != list(range(1, len(numbers) + 1)):
+        raise ValueError(
+            f"{name}: expected each of the numbers 1 to {len(numbers)} once, with a sign, got {list(given)}"
+        )
+    return numbers
+
+
+def _after(second: tuple[Map, ...], first: tuple[Map, ...]) -> tuple[Map, ...]:
+    """The maps of the image's image: ``first``, then ``second``."""
+
+    def composed() -> Iterator[Map]:
+        for outer, inner in zip(second, first, strict=True):
+            yield tuple(inner[abs(i) - 1] * (1 if i > 0 else -1) for i in outer)
+
+    return tuple(composed())
+
+
+def _generated(mirrors: Sequence[tuple[Map, ...]]) -> list[tuple[Map, ...]]:
+    group = [tuple(tuple(range(1, len(part) + 1)) for part in mirrors[0])]
+    for image in group:  # grows while it is read
+        new = [_after(mirror, image) for mirror in mirrors]
+        group += [candidate for candidate in dict.fromkeys(new) if candidate not in group]
+        if len(group) > MOST_IMAGES:
+            raise ValueError(f"mirrors: expected a group of at most {MOST_IMAGES} images, got more")
+    return group
