@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.fx import GraphModule, Node
 from torch.fx.experimental.proxy_tensor import get_proxy_mode, make_fx
 
@@ -58,10 +58,11 @@ class CompiledUpdate:
     Args:
         update: takes tensors whose shapes never change, does the same operations every time, and holds on to the same
             tensors for good.
+        module: owns the tensors that the update changes; they must be in its ``state_dict``.
     """
 
-    def __init__(self, update: Update) -> None:
-        self._update = update
+    def __init__(self, update: Update, module: nn.Module) -> None:
+        self._update, self._module = update, module
         self._names: list[str] = []
         self._state: list[Tensor] = []
         self._run: Callable[..., Sequence[Tensor]] | None = None
@@ -83,7 +84,12 @@ class CompiledUpdate:
             self._names = list(metrics)
             return list(metrics.values())
 
+        # what involves no tensor of the batch, such as the targets' step, is not only recorded but done
+        owned = [value for value in self._module.state_dict().values() if isinstance(value, Tensor)]
+        before = [value.clone() for value in owned]
         graph = make_fx(values, tracing_mode="fake", _allow_non_fake_inputs=True)(*tensors)
+        for value, old in zip(owned, before, strict=True):
+            value.copy_(old)
         self._state = _lift_state(graph)
         return graph
 

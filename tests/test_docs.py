@@ -17,6 +17,7 @@ from omegaconf import OmegaConf
 from rrl.controllers import ProportionalController
 from rrl.trainers import assembly
 from rrl.trainers.cli import COMMANDS, plain_name
+from rrl.trainers.environment import EnvironmentFactory, Input
 from rrl.trainers.new import create
 from toy_envs import PointMass
 
@@ -50,6 +51,12 @@ def test_python_runs(snippet):
     exec(compile(snippet, "snippet", "exec"), names)
     if "env" in names:
         assert names["env"].rollout(2)["base_action"].shape[-1] > 0
+
+
+@pytest.mark.parametrize("snippet", [*blocks("yaml")])
+def test_yaml_describes_an_environment(snippet):
+    inputs = {"position": Input(), "goal": Input(), "base_action": Input()}
+    assert EnvironmentFactory(lambda: None, lambda: None, inputs, **yaml.safe_load(snippet)).symmetry().num_images > 1
 
 
 @pytest.mark.parametrize("command", [*commands()])

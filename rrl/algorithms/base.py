@@ -258,7 +258,7 @@ class Agent(nn.Module, ABC):
             return update(*columns)
         kind = (tuple(step.__name__ for step in steps), keys, tuple(column.shape for column in columns))
         if kind not in self._graphs:
-            self._graphs[kind] = CompiledUpdate(update)
+            self._graphs[kind] = CompiledUpdate(update, self)
         return self._graphs[kind](*columns)
 
     def _take(self, steps: tuple[Step, ...], keys: tuple[NestedKey, ...], *columns: Tensor) -> dict[str, Tensor]:

@@ -1,11 +1,11 @@
-"""Where nothing can be compiled a learner says so once and learns all the same."""
+"""Compiled updates; where nothing can be compiled a learner says so once and learns all the same."""
 
 import pytest
 import torch
 from torch._inductor import config
 
 from agents import batches, make_agent, parameters
-from rrl.compilation import compiler_problem
+from rrl.compilation import CompiledUpdate, being_traced, compiler_problem
 
 
 def test_without_a_compiler_the_update_runs_as_it_is():
@@ -23,3 +23,34 @@ def test_without_a_compiler_the_update_runs_as_it_is():
 
 def test_with_a_compiler_there_is_no_problem():
     assert compiler_problem() is None
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")  # the compiler warns of its own doings
+def test_a_compiled_update_changes_the_tensors_that_its_update_holds_on_to():
+    module, traced = torch.nn.Module(), []
+    module.weight = torch.nn.Parameter(torch.ones(3))
+    module.register_buffer("total", torch.zeros(3))
+    module.register_buffer("count", torch.zeros(()))
+
+    def update(x):
+        traced.append(being_traced())
+        (slope,) = torch.autograd.grad((module.weight * x).sum(), [module.weight])
+        with torch.no_grad():
+            module.weight.data.sub_(slope)  # another tensor with the parameter's memory
+            module.total.add_(module.weight)
+            module.count.add_(1)
+        return {"slope": slope, "sum": module.total.sum()}
+
+    compiled = CompiledUpdate(update, module)
+    first = compiled(torch.full((3,), 2.0))
+    assert (first["slope"] == 2).all()
+    assert (module.weight == -1).all()
+    assert (module.total == -1).all()
+    with torch.no_grad():
+        module.weight.fill_(5.0)  # as a checkpoint does
+    second = compiled(torch.ones(3))
+    assert (module.weight == 4).all()
+    assert second["sum"] == 9
+    assert module.count == 2
+    assert traced == [True]  # Python ran once

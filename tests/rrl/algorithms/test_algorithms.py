@@ -105,6 +105,19 @@ def test_the_compiled_update_equals_the_eager_one(algorithm):
         torch.testing.assert_close(parameters(compiled)[name], value, rtol=1e-5, atol=1e-5)
 
 
+@each_algorithm
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")
+def test_a_compiled_learner_goes_on_from_a_state_as_the_eager_one_does(algorithm):
+    eager, compiled = (make_agent(algorithm, tau=0.3, last_layer_bound=0.1, compiled=c) for c in (False, True))
+    eager.update(batches(4, 1))
+    compiled.load_state_dict(copy.deepcopy(eager.state_dict()))
+    for learner in (eager, compiled):
+        learner.update(batches(4, 1, seed=1))
+    for name, value in parameters(eager).items():
+        torch.testing.assert_close(parameters(compiled)[name], value, rtol=1e-5, atol=1e-5)
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 def test_two_compiled_learners_keep_their_own_hyperparameters():
