@@ -91,7 +91,7 @@ BROKEN = {
     "env.symmetries.left_right.goal=[1,2,2]": ["env.symmetries", "each of the numbers 1 to 3 once"],
     "~env.symmetries.left_right.goal": ["env.symmetries.left_right", "a map of 'goal'"],
     "env.symmetries.left_right.end_effector_position=[1,3,2]": ["end_effector_position: expected equal scales"],
-    "trainer.total_steps=200": ["warmup_steps (200)", "total_steps (200)"],
+    "trainer.total_steps=300": ["warmup_steps (300)", "total_steps (300)"],
     "trainer.steps_per_collection=30": ["total_steps (10000)", "steps_per_collection", "30"],
     "trainer.updates_per_step=0.333": ["updates_per_step (0.333)", "whole number"],
     "trainer.buffer_capacity=100": ["buffer_capacity (100)", "batch (128)"],

@@ -66,7 +66,8 @@ def test_controller_and_previous_action_are_mirrored_as_actions():
 
 
 def test_the_switch_decides_and_an_environment_without_mirrors_has_none():
-    for overrides, uses in (([], True), (["algorithm.use_symmetries=false"], False), (["env.symmetries=null"], False)):
+    on = "algorithm.use_symmetries=true"
+    for overrides, uses in (([], False), ([on], True), ([on, "env.symmetries=null"], False)):
         config = composed(*overrides)
         assert not assembly.checks.problems(config)
         agent = assembly.agent(config)(input_sizes={"observation": 26}, action_size=3, num_seeds=1, seed=0)
