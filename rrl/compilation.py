@@ -51,8 +51,8 @@ class CompiledUpdate:
 
     The update is run once on tensors without data, which records what its losses, gradients and optimisers do as a list
     of operations (:func:`torch.fx.experimental.proxy_tensor.make_fx`). Python that an update runs each time, a
-    TensorDict's and TorchRL's, leaves no trace in it, which is why this takes a tenth of the time that
-    :func:`torch.compile` needs to follow the same code. Tensors that the update holds on to become arguments of the
+    TensorDict's and TorchRL's, leaves no trace in it, which is why this is faster than to have :func:`torch.compile`
+    follow the same code. Tensors that the update holds on to become arguments of the
     graph; it changes them in place.
 
     Args:
