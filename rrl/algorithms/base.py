@@ -316,14 +316,15 @@ class Agent(nn.Module, ABC):
 
     def get_extra_state(self) -> dict[str, Any]:
         """What a checkpoint needs beyond tensors: the update counter and the generators of noise and images."""
-        generators = {"noise": self._noise.state_dict(), "images": self._images.state_dict()}
-        return {"num_updates": self.num_updates, **generators}
+        images = {} if self.symmetry is None else {"images": self._images.state_dict()}
+        return {"num_updates": self.num_updates, "noise": self._noise.state_dict(), **images}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore :meth:`get_extra_state`."""
         self.num_updates = state["num_updates"]
         self._noise.load_state_dict(state["noise"])
-        self._images.load_state_dict(state["images"])
+        if self.symmetry is not None:
+            self._images.load_state_dict(state["images"])
 
 
 def check(name: str, value: object, expected: str, fine: bool) -> None:
