@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import os
 import warnings
 from collections.abc import Callable, Sequence
@@ -12,7 +14,7 @@ from torch import Tensor, nn
 from torch.fx import GraphModule, Node
 from torch.fx.experimental.proxy_tensor import get_proxy_mode, make_fx
 
-__all__ = ["CompiledUpdate", "being_traced", "can_compile", "compiler_problem"]
+__all__ = ["CompiledUpdate", "being_traced", "can_compile", "compiler_problem", "import_compiler"]
 
 Update = Callable[..., dict[str, Tensor]]
 """Of tensors, to metrics; changes tensors that it holds on to (parameters, moments, targets) in place."""
@@ -39,6 +41,13 @@ def can_compile() -> bool:
             stacklevel=2,
         )
     return problem is None
+
+
+def import_compiler() -> None:
+    """Import what compiling needs of PyTorch, a second or more, while something else is waited for."""
+    for module in ("torch._inductor.compile_fx", "torch._dynamo.repro.after_dynamo"):
+        with contextlib.suppress(ImportError):  # private modules, which another version may not have
+            importlib.import_module(module)
 
 
 def being_traced() -> bool:

@@ -22,6 +22,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.checkpoint import GlobalRNGState
 
+from rrl.compilation import import_compiler
+
 from .config import TrainerSettings
 from .environment import EnvironmentFactory
 from .experience import Experience, InTurn, Metrics
@@ -63,6 +65,7 @@ class Overlapped(Experience):
         atexit.register(self.close)  # before multiprocessing's own handler, which would wait for the process
         self._under_way = False
         self._continues: bool | None = None
+        import_compiler()  # the process takes longer to start, and who collects so mostly compiles too
         self.sizes = self._receive()
 
     def follow(self, policy: TensorDictModuleBase) -> None:

@@ -1,5 +1,8 @@
 """Compiled updates; where nothing can be compiled a learner says so once and learns all the same."""
 
+import subprocess
+import sys
+
 import pytest
 import torch
 from torch._inductor import config
@@ -27,6 +30,15 @@ def test_with_a_compiler_there_is_no_problem():
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # the compiler warns of its own doings
+def test_the_compiler_can_be_imported_ahead():
+    """In a process of its own: PyTorch alone does not import it, importing it ahead does, and importing us does not."""
+    script = (
+        "import sys, rrl.compilation as c; name = 'torch._inductor.compile_fx'; assert name not in sys.modules; "
+        "c.import_compiler(); assert name in sys.modules"
+    )
+    subprocess.run([sys.executable, "-W", "ignore", "-c", script], check=True)
+
+
 def test_a_compiled_update_changes_the_tensors_that_its_update_holds_on_to():
     module, traced = torch.nn.Module(), []
     module.weight = torch.nn.Parameter(torch.ones(3))
