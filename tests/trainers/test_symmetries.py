@@ -37,19 +37,19 @@ def observations(factory, yaw, actions):
     return torch.stack(rows)
 
 
-@pytest.mark.parametrize(("image", "yaw"), [(1, -20.0), (2, -20.0), (3, 20.0)])
-def test_a_mirrored_episode_goes_the_mirrored_way(image, yaw):
-    """Nearly: the arm is not symmetric, nor is its impedance; contacts begin a little earlier or later."""
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_mirrored_episode_goes_the_mirrored_way(seed):
+    """Nearly: contacts begin a little earlier or later."""
     factory = assembly.environment(composed())
-    symmetry, which = factory.symmetry(), torch.tensor([image])
-    actions = 0.5 * torch.randn(20, 1, 3, generator=torch.Generator().manual_seed(1))
+    symmetry, which = factory.symmetry(), torch.tensor([1])
+    actions = 0.5 * torch.randn(30, 1, 3, generator=torch.Generator().manual_seed(seed))
     original = observations(factory, 20.0, actions)
-    mirrored = observations(factory, yaw, [symmetry.reflect_action(action, which) for action in actions])
-    expected = symmetry.reflect(original, which.expand(20))
+    mirrored = observations(factory, -20.0, [symmetry.reflect_action(action, which) for action in actions])
+    expected = symmetry.reflect(original, which.expand(30))
     moves = (expected - original).abs().amax(0) > 0.5  # what the mirror changes visibly
     assert moves.sum() >= 3
     error = (mirrored - expected).abs()[:, moves].mean()
-    assert error < 0.5 * (mirrored - original).abs()[:, moves].mean()
+    assert error < 0.2 * (mirrored - original).abs()[:, moves].mean()
 
 
 def test_controller_and_previous_action_are_mirrored_as_actions():
@@ -66,8 +66,8 @@ def test_controller_and_previous_action_are_mirrored_as_actions():
 
 
 def test_the_switch_decides_and_an_environment_without_mirrors_has_none():
-    on = "algorithm.use_symmetries=true"
-    for overrides, uses in (([], False), ([on], True), ([on, "env.symmetries=null"], False)):
+    off = "algorithm.use_symmetries=false"
+    for overrides, uses in (([], True), ([off], False), (["env.symmetries=null"], False)):
         config = composed(*overrides)
         assert not assembly.checks.problems(config)
         agent = assembly.agent(config)(input_sizes={"observation": 26}, action_size=3, num_seeds=1, seed=0)
