@@ -38,7 +38,7 @@ faults: $(VENV)/installed           ## kill a training run a hundred times, resu
 soak: $(VENV)/installed             ## train for ten minutes and watch memory, files, threads and speed
 	$(BIN)/python -W ignore benchmarks/soak.py --minutes 10
 
-ablation: $(VENV)/installed         ## what every switch for sample efficiency does, added to td3 and removed from td3-efficient
+ablation: $(VENV)/installed         ## what every switch for sample efficiency does, added to td3 and removed from td3-ensemble
 	$(BIN)/python -W ignore benchmarks/ablation.py
 
 benchmark: $(VENV)/installed        ## training speed against Stable-Baselines3, SBX, CleanRL's and TorchRL's TD3

@@ -1,4 +1,4 @@
-"""What every switch for sample efficiency does: TD3 with each one added, td3-efficient with each one removed.
+"""What every switch for sample efficiency does: TD3 with each one added, td3-ensemble with each one removed.
 
 Runs are kept in a store, so that a second call does what is missing and arms that are equal share their runs:
 
