@@ -28,8 +28,6 @@ def test_with_a_compiler_there_is_no_problem():
     assert compiler_problem() is None
 
 
-@pytest.mark.slow
-@pytest.mark.filterwarnings("default")  # the compiler warns of its own doings
 def test_the_compiler_can_be_imported_ahead():
     """In a process of its own: PyTorch alone does not import it, importing it ahead does, and importing us does not."""
     script = (
@@ -39,6 +37,8 @@ def test_the_compiler_can_be_imported_ahead():
     subprocess.run([sys.executable, "-W", "ignore", "-c", script], check=True)
 
 
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")  # the compiler warns of its own doings
 def test_a_compiled_update_changes_the_tensors_that_its_update_holds_on_to():
     module, traced = torch.nn.Module(), []
     module.weight = torch.nn.Parameter(torch.ones(3))
