@@ -45,9 +45,11 @@ def can_compile() -> bool:
 
 def import_compiler() -> None:
     """Import what compiling needs of PyTorch, a second or more, while something else is waited for."""
-    for module in ("torch._inductor.compile_fx", "torch._dynamo.repro.after_dynamo"):
-        with contextlib.suppress(ImportError):  # private modules, which another version may not have
-            importlib.import_module(module)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of PyTorch's modules, at one another
+        for module in ("torch._inductor.compile_fx", "torch._dynamo.repro.after_dynamo"):
+            with contextlib.suppress(ImportError):  # private modules, which another version may not have
+                importlib.import_module(module)
 
 
 def being_traced() -> bool:

@@ -29,10 +29,10 @@ def test_with_a_compiler_there_is_no_problem():
 
 
 def test_the_compiler_can_be_imported_ahead():
-    """In a process of its own: PyTorch alone does not import it, importing it ahead does, and importing us does not."""
+    """In a process of its own: importing us does not import it, importing it ahead does, and without a warning."""
     script = (
-        "import sys, rrl.compilation as c; name = 'torch._inductor.compile_fx'; assert name not in sys.modules; "
-        "c.import_compiler(); assert name in sys.modules"
+        "import sys, warnings, rrl.compilation as c; name = 'torch._inductor.compile_fx'; "
+        "assert name not in sys.modules; warnings.simplefilter('error'); c.import_compiler(); assert name in sys.modules"
     )
     subprocess.run([sys.executable, "-W", "ignore", "-c", script], check=True)
 
