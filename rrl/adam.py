@@ -78,7 +78,8 @@ class Adam(nn.Module):
         steps = self._buffers_named("step")
         torch._foreach_add_(steps, 1.0)
         root = (1 - beta2 ** steps[0]).sqrt()
-        rate, eps = self.lr * root / (1 - beta1 ** steps[0]), self.eps * root
+        # one tensor of both: a compiler stores it, where it would compute each anew in every loop that reads it
+        rate, eps = torch.stack([self.lr * root / (1 - beta1 ** steps[0]), self.eps * root]).unbind()
         for p, g, mean, square in zip(parameters, grads, means, squares, strict=True):
             mean.lerp_(g, 1 - beta1)
             square.mul_(beta2).addcmul_(g, g, value=1 - beta2)

@@ -64,6 +64,7 @@ class Overlapped(Experience):
         far_end.close()
         atexit.register(self.close)  # before multiprocessing's own handler, which would wait for the process
         self._under_way = False
+        self._before: dict[str, Any] | None = None  # the state in which the collection that is under way began
         self._continues: bool | None = None
         import_compiler()  # the process takes longer to start, and who collects so mostly compiles too
         self.sizes = self._receive()
@@ -83,10 +84,11 @@ class Overlapped(Experience):
         data = {key: torch.from_numpy(value) for key, value in entries.items()}
         return TensorDict(data, next(iter(data.values())).shape[:2]).unflatten_keys("/"), metrics
 
-    def begin(self, env_steps: int | None) -> None:
+    def begin(self, env_steps: int | None, checkpoint: bool) -> None:
         """Begin the next collection with the policy as it is now, before this round's updates."""
         self._acting = _parameters(self._policy)
         if env_steps is not None:
+            self._before = self.state_dict() if checkpoint else None
             self._request(env_steps)
 
     @property
@@ -106,7 +108,9 @@ class Overlapped(Experience):
         self._call("start_anew", seed)
 
     def state_dict(self) -> dict[str, Any]:
-        """The process's state and the parameters that it acts with next."""
+        """The process's state and the parameters that it acts with next; before a collection that is under way."""
+        if self._under_way and self._before is not None:
+            return self._before
         acting = _parameters(self._policy) if self._acting is None else self._acting
         return {"acting": acting, **_unpack(self._call("state"))}
 

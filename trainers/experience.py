@@ -38,8 +38,7 @@ class Sizes:
 class Experience(ABC):
     """Where the trainer gets its transitions from, round by round.
 
-    A round calls :meth:`collect`, and before its updates :meth:`begin` with the environment steps at which the next
-    round starts, or None where nothing may be under way after this round, because it ends in a checkpoint.
+    A round calls :meth:`collect`, and before its updates :meth:`begin`.
     """
 
     sizes: Sizes
@@ -53,8 +52,15 @@ class Experience(ABC):
         """The transitions ``[S * E, T]`` of the round that starts at ``env_steps``, and what they say."""
 
     @abstractmethod
-    def begin(self, env_steps: int | None) -> None:
-        """The updates of this round begin; see the class."""
+    def begin(self, env_steps: int | None, checkpoint: bool) -> None:
+        """The updates of this round begin.
+
+        Args:
+            env_steps: at which the next round starts; None where nothing may be under way after this round, because no
+                other follows or it does not collect.
+            checkpoint: whether :meth:`state_dict` is wanted after this round.
+
+        """
 
     @property
     @abstractmethod
@@ -72,7 +78,7 @@ class Experience(ABC):
 
     @abstractmethod
     def state_dict(self) -> dict[str, Any]:
-        """Everything that a checkpoint needs, while nothing is under way."""
+        """Everything that a checkpoint after this round needs."""
 
     @abstractmethod
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
@@ -150,7 +156,7 @@ class InTurn(Experience):
         data, seeds = self.rollout(env_steps), self.settings.num_seeds
         return data.select(*STORED), experience_metrics(data, seeds, self.env) | measured(self.stopwatch, seeds)
 
-    def begin(self, env_steps: int | None) -> None:
+    def begin(self, env_steps: int | None, checkpoint: bool) -> None:
         """Nothing to do ahead."""
 
     @property

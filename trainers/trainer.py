@@ -194,7 +194,7 @@ class Trainer:
     def _round(self) -> None:
         values = self._recover() if self.store.pending else self._collect_and_store()
         self.counters["env_steps"] += self.settings.steps_per_round
-        self.experience.begin(self._next_collection())
+        self.experience.begin(self._next_collection(), checkpoint=self._due(self.settings.checkpoint.every))
         if self.env_steps >= self.settings.warmup_steps:
             with self.stopwatch("update"):
                 values |= self._update()
@@ -218,14 +218,9 @@ class Trainer:
         return values
 
     def _next_collection(self) -> int | None:
-        """Where the next collection starts, if it may begin now; before a checkpoint everything comes to rest."""
-        rests = (
-            self._due(self.settings.checkpoint.every)
-            or self.env_steps >= self.settings.total_steps
-            or self.interruption.signal is not None
-            or self.store.pending > 0
-        )
-        return None if rests else self.env_steps
+        """Where the next collection starts, if it may begin now."""
+        ends = self.env_steps >= self.settings.total_steps or self.interruption.signal is not None
+        return None if ends or self.store.pending > 0 else self.env_steps
 
     def _recover(self) -> Metrics:
         """A round whose transitions come from the log: they were stored after the checkpoint that was resumed."""

@@ -151,6 +151,25 @@ def test_a_signal_finishes_what_is_under_way_and_saves_it(make):
     assert same(whole, run(second))
 
 
+def test_a_run_goes_on_from_a_checkpoint_made_while_the_next_collection_was_under_way(make):
+    whole = run(make("whole"))
+    trainer = make("broken")
+    one_round = trainer._round
+
+    def break_at_100():
+        if trainer.env_steps == 100:
+            raise OSError("no space left")
+        one_round()
+        assert trainer.experience.under_way
+
+    trainer._round = break_at_100
+    with trainer, pytest.raises(OSError, match="no space left"):
+        trainer.run()
+    second = make("broken")
+    assert second.resume().name == "checkpoint-000000000060"
+    assert same(whole, run(second))
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # the compiler warns of its own doings
 def test_a_seed_learns_alike_alone_and_in_a_stack_with_the_fast_settings(make):
