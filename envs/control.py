@@ -19,8 +19,8 @@ ROTATION_LIMIT = 20.0
 """Of the Cartesian controller about an axis, N m."""
 TOOL_DOWN_AXES = np.array([(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)])
 """Rows: x, y and z axis of a tool that points straight down."""
-IK_DAMPING = 1e-7
-"""d, in units of Cartesian compliance (about 1e-3 m/N in translation), against singular postures."""
+IK_DAMPING = 1e-7 * np.eye(6)
+"""d I, in units of Cartesian compliance (about 1e-3 m/N in translation), against singular postures."""
 MAX_ROTATION_ERROR = 0.2
 """Largest orientation error that the inverse kinematics looks at, rad."""
 
@@ -124,7 +124,7 @@ def joint_displacement(
     posture = config.ik_posture_gain * (home - signals["joint_position"])  # (B, 7)
     error -= (jac @ posture[..., None])[..., 0]
     weighted = jac / np.asarray(config.joint_stiffness)  # (B, 6, 7)
-    gram = weighted @ jac.swapaxes(1, 2) + IK_DAMPING * np.eye(6)
+    gram = weighted @ jac.swapaxes(1, 2) + IK_DAMPING
     wrench = np.linalg.solve(gram, error[..., None])  # (B, 6, 1)
     return posture + (weighted.swapaxes(1, 2) @ wrench)[..., 0]
 

@@ -8,8 +8,10 @@ import os
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import torch
+import torch._inductor
 from torch import Tensor, nn
 from torch.fx import GraphModule, Node
 from torch.fx.experimental.proxy_tensor import get_proxy_mode, make_fx
@@ -44,12 +46,13 @@ def can_compile() -> bool:
 
 
 def import_compiler() -> None:
-    """Import what compiling needs of PyTorch, a second or more, while something else is waited for."""
-    with warnings.catch_warnings():
+    """Import the compiler and have it look at the processor, two seconds or so, while something else is awaited."""
+    _choose_cache()
+    with warnings.catch_warnings(), contextlib.suppress(ImportError, AttributeError):  # private, of a version
         warnings.simplefilter("ignore", DeprecationWarning)  # of PyTorch's modules, at one another
         for module in ("torch._inductor.compile_fx", "torch._dynamo.repro.after_dynamo"):
-            with contextlib.suppress(ImportError):  # private modules, which another version may not have
-                importlib.import_module(module)
+            importlib.import_module(module)
+        importlib.import_module("torch._inductor.cpu_vec_isa").pick_vec_isa()
 
 
 def being_traced() -> bool:
@@ -63,8 +66,8 @@ class CompiledUpdate:
     The update is run once on tensors without data, which records what its losses, gradients and optimisers do as a list
     of operations (:func:`torch.fx.experimental.proxy_tensor.make_fx`). Python that an update runs each time, a
     TensorDict's and TorchRL's, leaves no trace in it, which is why this is faster than to have :func:`torch.compile`
-    follow the same code. Tensors that the update holds on to become arguments of the
-    graph; it changes them in place.
+    follow the same code; :func:`torch._inductor.compile`, its back half, takes the recorded graph. Tensors that the
+    update holds on to become arguments of the graph; it changes them in place.
 
     Args:
         update: takes tensors whose shapes never change, does the same operations every time, and holds on to the same
@@ -83,11 +86,9 @@ class CompiledUpdate:
         if self._run is None:
             with warnings.catch_warnings():  # of the libraries' code, which is not ours to mend
                 warnings.simplefilter("ignore")
-                self._run = _compile(self._trace(tensors))
-                values = self._run(*tensors, *self._state)
-        else:
-            values = self._run(*tensors, *self._state)
-        return dict(zip(self._names, values, strict=True))
+                graph = self._trace(tensors)
+                self._run = _compile(graph, [*tensors, *self._state])
+        return dict(zip(self._names, self._run(*tensors, *self._state), strict=True))
 
     def _trace(self, tensors: tuple[Tensor, ...]) -> GraphModule:
         def values(*arguments: Tensor) -> list[Tensor]:
@@ -101,18 +102,19 @@ class CompiledUpdate:
         graph = make_fx(values, tracing_mode="fake", _allow_non_fake_inputs=True)(*tensors)
         for value, old in zip(owned, before, strict=True):
             value.copy_(old)
-        self._state = _lift_state(graph)
+        graph, self._state = _lift_state(graph)
         return graph
 
 
-def _lift_state(module: GraphModule) -> list[Tensor]:
-    """Make an argument of each tensor that the graph holds, and return those tensors in the arguments' order.
+def _lift_state(module: GraphModule) -> tuple[GraphModule, list[Tensor]]:
+    """Make an argument of each tensor that the graph holds; return graph and tensors, in the arguments' order.
 
     A parameter and its ``.data`` are two tensors with one memory: they become one argument, so that what one name
     writes the other reads.
     """
     graph = module.graph
     last = next(node for node in reversed(graph.nodes) if node.op == "placeholder")
+    without_data = last.meta["val"].fake_mode
     arguments: dict[tuple[object, ...], Node] = {}
     state: list[Tensor] = []
     for node in [node for node in graph.nodes if node.op == "get_attr"]:
@@ -121,23 +123,18 @@ def _lift_state(module: GraphModule) -> list[Tensor]:
         if memory not in arguments:
             with graph.inserting_after(last):
                 arguments[memory] = last = graph.placeholder(f"state_{len(state)}")
+            last.meta["val"] = without_data.from_tensor(tensor)
             state.append(tensor)
         node.replace_all_uses_with(arguments[memory])
         graph.erase_node(node)
-    module.recompile()
-    return state
+    return GraphModule(nn.Module(), graph), state
 
 
-def _compile(graph: GraphModule) -> Callable[..., Sequence[Tensor]]:
-    os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(_cache() / "inductor"))  # PyTorch's own is in /tmp
-    return torch.compile(
-        graph.forward,
-        fullgraph=True,
-        dynamic=False,
-        # nothing that guards look at can change: the graph reads its arguments alone
-        options={"cpp_wrapper": True, "guard_filter_fn": torch.compiler.skip_all_guards_unsafe},
-    )
+def _compile(graph: GraphModule, arguments: list[Any]) -> Callable[..., Sequence[Tensor]]:
+    _choose_cache()
+    return torch._inductor.compile(graph, arguments, options={"cpp_wrapper": True})
 
 
-def _cache() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rrl"
+def _choose_cache() -> None:
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rrl"
+    os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(cache / "inductor"))  # PyTorch's own is in /tmp

@@ -57,6 +57,8 @@ class ExplorationNoise(TensorDictModuleBase):
         if decay_steps < 1:
             raise ValueError(f"decay_steps: expected at least 1 step, got {decay_steps}")
         self.spec = spec
+        # the spec's own projection costs several times as much, and its space moves the bounds whenever asked
+        self._bounds = (spec.space.low, spec.space.high) if isinstance(spec, Bounded) else None
         self.sigma_init, self.sigma_end = sigma, sigma if sigma_end is None else sigma_end
         self.decay_steps, self.steps = decay_steps, 0
         self.generators = SlotGenerators(seed, num_slots, stream="exploration")
@@ -84,9 +86,7 @@ class ExplorationNoise(TensorDictModuleBase):
         return tensordict
 
     def _project(self, action: Tensor) -> Tensor:
-        if isinstance(self.spec, Bounded):  # at a fraction of what the spec's own projection costs
-            return torch.clamp(action, self.spec.space.low, self.spec.space.high)
-        return self.spec.project(action)
+        return self.spec.project(action) if self._bounds is None else torch.clamp(action, *self._bounds)
 
     def get_extra_state(self) -> dict[str, Any]:
         """How far the decay is, and the generators' state."""

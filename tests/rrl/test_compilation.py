@@ -32,7 +32,8 @@ def test_the_compiler_can_be_imported_ahead():
     """In a process of its own: importing us does not import it, importing it ahead does, and without a warning."""
     script = (
         "import sys, warnings, rrl.compilation as c; name = 'torch._inductor.compile_fx'; "
-        "assert name not in sys.modules; warnings.simplefilter('error'); c.import_compiler(); assert name in sys.modules"
+        "assert name not in sys.modules; warnings.simplefilter('error'); c.import_compiler(); "
+        "assert name in sys.modules"
     )
     subprocess.run([sys.executable, "-W", "ignore", "-c", script], check=True)
 
