@@ -50,9 +50,10 @@ def import_compiler() -> None:
     _choose_cache()
     with warnings.catch_warnings(), contextlib.suppress(ImportError, AttributeError):  # private, of a version
         warnings.simplefilter("ignore", DeprecationWarning)  # of PyTorch's modules, at one another
-        for module in ("torch._inductor.compile_fx", "torch._dynamo.repro.after_dynamo"):
-            importlib.import_module(module)
-        importlib.import_module("torch._inductor.cpu_vec_isa").pick_vec_isa()
+        if compiler_problem() is None:
+            for module in ("torch._inductor.compile_fx", "torch._dynamo.repro.after_dynamo"):
+                importlib.import_module(module)
+            importlib.import_module("torch._inductor.cpu_vec_isa").pick_vec_isa()
 
 
 def being_traced() -> bool:

@@ -2,7 +2,8 @@
 
     python -m benchmarks.speed                       # one run, three rounds
     python -m benchmarks.speed --seeds 10            # ten seeds: peers in two processes of one thread each
-    python -m benchmarks.speed --success 0.9         # also the time until 90 % of the frozen episodes are solved
+    python -m benchmarks.speed --success 0.9         # also the time until 90 % of the frozen episodes are solved; round
+                                                     # k trains seed k
     python -m benchmarks.speed env=insertion-sim     # an override of `rrl train`, for all
 
 Peers come with ``pip install rrl[benchmark]``; one that is not there is left out. All get one torch thread a process
@@ -73,11 +74,15 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=3000, help="environment steps of one seed")
     parser.add_argument("--warmup", type=int, default=500, help="of them before the first update")
     parser.add_argument("--seeds", type=int, default=1, choices=(1, 10))
-    parser.add_argument("--success", type=float, help="success rate whose time is reported; implies --steps 10000")
+    parser.add_argument(
+        "--success", type=float, help="success rate whose time is reported; 10000 steps of a seed a round"
+    )
     parser.add_argument("--only", nargs="+", default=[], help="contenders; sb3 is always one")
     parser.add_argument("--out", type=Path, default=Path("outputs/benchmark"))
     parser.add_argument("overrides", nargs="*")
     options = parser.parse_intermixed_args()
+    if options.success and options.seeds > 1:
+        sys.exit("--success looks at one seed a round: expected --seeds 1")
     steps, warmup = (10_000, 1000) if options.success else (options.steps, options.warmup)
     common = [f"trainer.total_steps={steps}", f"trainer.warmup_steps={warmup}", *options.overrides]
     common += ["--every", "1000"] if options.success else []
@@ -89,7 +94,8 @@ def main() -> None:
     console, rounds = Console(), {name: [] for name in contenders}
     for number in range(options.rounds):
         for name, processes in contenders.items():
-            rounds[name].append(run(processes, common))
+            seed = ["--seed", str(number)] if options.success else []
+            rounds[name].append(run(processes, [*common, *seed]))
             speed = rounds[name][-1]["steps_per_second"]
             console.print(f"round {number + 1}: {name} {speed:.0f} steps/s", highlight=False)
     options.out.mkdir(parents=True, exist_ok=True)

@@ -28,13 +28,19 @@ def test_with_a_compiler_there_is_no_problem():
     assert compiler_problem() is None
 
 
-def test_the_compiler_can_be_imported_ahead():
-    """In a process of its own: importing us does not import it, importing it ahead does, and without a warning."""
-    script = (
-        "import sys, warnings, rrl.compilation as c; name = 'torch._inductor.compile_fx'; "
-        "assert name not in sys.modules; warnings.simplefilter('error'); c.import_compiler(); "
-        "assert name in sys.modules"
-    )
+@pytest.mark.parametrize("there", [True, False])
+def test_the_compiler_can_be_imported_ahead(there):
+    """In a process of its own: importing us does not import it, importing it ahead does, if it is there; no warning."""
+    script = f"""
+import sys, warnings
+import rrl.compilation
+from torch._inductor import config
+assert "torch._inductor.compile_fx" not in sys.modules
+warnings.simplefilter("error")
+with config.patch("cpp.cxx", config.cpp.cxx if {there} else ("/nowhere/g++",)):
+    rrl.compilation.import_compiler()
+assert ("torch._inductor.compile_fx" in sys.modules) == {there}
+"""
     subprocess.run([sys.executable, "-W", "ignore", "-c", script], check=True)
 
 
