@@ -40,7 +40,8 @@ def train(way: str, seeds: int, out: Path, overrides: list[str]) -> tuple[dict[s
 
 def interval(values: np.ndarray) -> str:
     """Mean and 95 % interval, in per cent."""
-    low, high = stats.t.interval(0.95, len(values) - 1, values.mean(), max(stats.sem(values), 1e-12))
+    bounds = stats.t.interval(0.95, len(values) - 1, values.mean(), max(stats.sem(values), 1e-12))
+    low, high = np.clip(bounds, 0, 1)
     return f"{values.mean():.1%} [{low:.1%}, {high:.1%}]"
 
 

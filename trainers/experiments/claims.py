@@ -108,7 +108,9 @@ def success_grows(finding: Finding) -> tuple[bool, str]:
     """The last evaluation is at 15 of 20 or more, and above the first one by its interval over seeds."""
     curve = finding.outcomes[0].curve("success")
     first, last = curve.values[:, 0], curve.values[:, -1]
-    text = f"success at step {curve.steps[0]:.0f}: {first.mean():.0%}, at {curve.steps[-1]:.0f}: {_said(last, 100)} %"
+    low, high = np.clip(mean_interval(last), 0, 1)
+    text = f"success at step {curve.steps[0]:.0f}: {first.mean():.0%}, at {curve.steps[-1]:.0f}: {last.mean():.0%} "
+    text += f"[{low:.0%}, {high:.0%}]"
     return bool(last.mean() >= 15 / 20 and mean_interval(last - first)[0] > 0), text
 
 
@@ -196,6 +198,6 @@ def _steps_text(outcome: Outcome) -> str:
     return f"{'not reached' if steps is None else steps} (from {start:.0%})"
 
 
-def _said(values: np.ndarray, unit: float = 1.0) -> str:
+def _said(values: np.ndarray) -> str:
     low, high = mean_interval(values)
-    return f"{values.mean() * unit:.2f} [{low * unit:.2f}, {high * unit:.2f}]"
+    return f"{values.mean():.2f} [{low:.2f}, {high:.2f}]"
