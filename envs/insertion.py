@@ -11,6 +11,8 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from rrl.threads import available_threads
+
 from . import quantities
 from .config import InsertionConfig, make_config
 from .control import check_action, set_points
@@ -18,6 +20,9 @@ from .quantities import Measurement
 from .scene import compile_model
 from .simulation import BatchSimulation
 from .start import draw_episode
+
+ENVS_PER_THREAD = 8
+"""Fewer are not worth a thread."""
 
 
 class InsertionEnv(EnvBase):
@@ -50,7 +55,8 @@ class InsertionEnv(EnvBase):
     Args:
         variant: ``sim`` or ``real``, or a whole :class:`~rrl.envs.InsertionConfig`.
         num_envs: batch size, 1 or more.
-        num_threads: threads for physics; the results do not depend on it.
+        num_threads: threads for physics; the results do not depend on it. ``None``: one a core
+            (``OMP_NUM_THREADS`` if it is set), for at least eight environments each.
         seed: of the first slot. ``None`` draws one from torch's global generator.
         overrides: fields of :class:`~rrl.envs.InsertionConfig` to replace.
 
@@ -62,7 +68,7 @@ class InsertionEnv(EnvBase):
         self,
         variant: str | InsertionConfig = "sim",
         num_envs: int = 1,
-        num_threads: int = 1,
+        num_threads: int | None = None,
         seed: int | None = 0,
         **overrides: Any,
     ) -> None:
@@ -71,7 +77,8 @@ class InsertionEnv(EnvBase):
         self.config = make_config(variant, overrides)
         self.num_envs = num_envs
         self.num_diverged = 0
-        self._simulation = BatchSimulation(compile_model(self.config), self.config, num_envs, num_threads)
+        threads = num_threads or max(1, min(available_threads(), num_envs // ENVS_PER_THREAD))
+        self._simulation = BatchSimulation(compile_model(self.config), self.config, num_envs, threads)
         self._steps = np.zeros(num_envs, dtype=np.int64)
         self._measurement = _empty_measurement(num_envs)
         self._generators: list[np.random.Generator] = []
@@ -82,7 +89,7 @@ class InsertionEnv(EnvBase):
     def check_arguments(
         variant: str | InsertionConfig = "sim",
         num_envs: int = 1,
-        num_threads: int = 1,
+        num_threads: int | None = None,
         seed: int | None = 0,
         **overrides: Any,
     ) -> dict[str, int]:
@@ -94,7 +101,7 @@ class InsertionEnv(EnvBase):
         Raises:
             ValueError: what the constructor would raise.
         """
-        for name, value in (("num_envs", num_envs), ("num_threads", num_threads)):
+        for name, value in (("num_envs", num_envs), ("num_threads", 1 if num_threads is None else num_threads)):
             if not isinstance(value, int) or isinstance(value, bool) or value < 1:
                 raise ValueError(f"{name} must be a whole number of at least 1, got {value!r}")
         if seed is not None and (not isinstance(seed, int) or seed < 0):

@@ -42,3 +42,9 @@ def check_length(name: str, value: Tensor, size: int, what: str) -> None:
     """Raise a ValueError unless ``value`` is one number or has one a dimension."""
     if value.ndim and value.shape[-1] != size:
         raise ValueError(f"{name} has {value.shape[-1]} numbers, {what} has {size} dimensions.")
+
+
+def check(name: str, value: object, expected: str, fine: bool) -> None:
+    """Raise a ValueError that names a hyperparameter, unless it is fine."""
+    if not fine:
+        raise ValueError(f"{name}: expected {expected}, got {value!r}")

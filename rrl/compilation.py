@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import logging
 import os
+import time
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -17,6 +19,8 @@ from torch.fx import GraphModule, Node
 from torch.fx.experimental.proxy_tensor import get_proxy_mode, make_fx
 
 __all__ = ["CompiledUpdate", "being_traced", "can_compile", "compiler_problem", "import_compiler"]
+
+log = logging.getLogger(__name__)
 
 Update = Callable[..., dict[str, Tensor]]
 """Of tensors, to metrics; changes tensors that it holds on to (parameters, moments, targets) in place."""
@@ -81,15 +85,23 @@ class CompiledUpdate:
         self._names: list[str] = []
         self._state: list[Tensor] = []
         self._run: Callable[..., Sequence[Tensor]] | None = None
+        self.compile_seconds = 0.0
 
     def __call__(self, *tensors: Tensor) -> dict[str, Tensor]:
         """Do what the update does."""
         if self._run is None:
-            with warnings.catch_warnings():  # of the libraries' code, which is not ours to mend
-                warnings.simplefilter("ignore")
-                graph = self._trace(tensors)
-                self._run = _compile(graph, [*tensors, *self._state])
+            self._run = self._compile(tensors)
         return dict(zip(self._names, self._run(*tensors, *self._state), strict=True))
+
+    def _compile(self, tensors: tuple[Tensor, ...]) -> Callable[..., Sequence[Tensor]]:
+        log.info("compiling the update: half a minute with settings new to this machine, else seconds")
+        start = time.perf_counter()
+        with warnings.catch_warnings():  # of the libraries' code, which is not ours to mend
+            warnings.simplefilter("ignore")
+            graph = self._trace(tensors)
+            run = _compile(graph, [*tensors, *self._state])
+        self.compile_seconds = time.perf_counter() - start
+        return run
 
     def _trace(self, tensors: tuple[Tensor, ...]) -> GraphModule:
         def values(*arguments: Tensor) -> list[Tensor]:

@@ -8,6 +8,7 @@ import os
 import pickle
 import signal
 import threading
+import time
 import traceback
 import warnings
 from collections.abc import Callable, Mapping
@@ -29,6 +30,7 @@ from .environment import EnvironmentFactory
 from .experience import Experience, InTurn, Metrics
 from .interruption import SIGNALS
 from .process import configure_process
+from .profiling import beside
 
 PATIENCE = 10.0
 """Seconds that a process gets to close its environment before it is ended."""
@@ -179,7 +181,10 @@ class _Collecting:
 
     def collect(self, env_steps: int, parameters: Any) -> tuple[dict[str, Any], Metrics]:
         _assign(self.policy, torch.from_numpy(parameters))
+        start = time.perf_counter()
         data, metrics = self.experience.collect(env_steps)
+        if self.experience.settings.profile:
+            metrics = beside(metrics, time.perf_counter() - start)
         return {key: value.numpy() for key, value in data.flatten_keys("/").items()}, metrics
 
     def continues(self) -> bool:

@@ -70,7 +70,7 @@ class TrainerSettings(_Settings):
         overlap: collect the next round in a second process while this round's updates run; round ``k`` then acts with
             the policy of round ``k - 1``'s start.
         profile: time the parts of a collection too, and print at the end where a step's time went.
-        threads: torch threads.
+        threads: torch threads; None: one where a second process collects, else two if this process may use as many.
         flush_denormals: treat denormal numbers as zero; Adam's moments decay into them and slow the products down.
         matmul_precision: ``highest`` for float32 products, ``medium`` for bfloat16 products under float32.
         evaluation: see :class:`EvaluationSettings`.
@@ -92,7 +92,7 @@ class TrainerSettings(_Settings):
     buffer_capacity: Capacity = 1_000_000
     overlap: bool = False
     profile: bool = False
-    threads: Positive = 1
+    threads: Positive | None = None
     flush_denormals: bool = True
     matmul_precision: Annotated[str, Field(pattern="^(highest|high|medium)$")] = "highest"
     evaluation: EvaluationSettings = EvaluationSettings()

@@ -28,7 +28,8 @@ SAFETY = "safety"
 
 TIME = "time"
 """Seconds since the last row: ``time/collect`` (waiting, where it overlaps), ``store``, ``sample``, ``update``,
-``evaluate``, ``checkpoint``, ``log``; with ``trainer.profile`` also the parts of a collection, ``time/collect/<part>``.
+``evaluate``, ``checkpoint``, ``log``; ``sample`` and ``compile`` are parts of ``update``. With ``trainer.profile`` also
+the parts of a collection, ``time/collect/<part>``, or of ``time/beside`` where a second process collects.
 """
 
 

@@ -12,8 +12,11 @@ from torchrl.envs import TransformedEnv
 from . import metrics
 from .timing import Stopwatch
 
-NESTED = {"sample": "update"}
+NESTED = {"sample": "update", "compile": "update"}
 """Sections that another one contains."""
+
+BESIDE = "beside"
+"""The section of what a second process does meanwhile; no part of the sum."""
 
 
 def watch_collection(env: TransformedEnv, modules: Mapping[str, TensorDictModuleBase]) -> Stopwatch:
@@ -67,7 +70,7 @@ class Profile:
                 per_step[whole] -= per_step[part]
         tops = [section for section in per_step if "/" not in section]
         rows = []
-        for top in sorted(tops, key=lambda s: -per_step[s]):
+        for top in sorted(tops, key=lambda s: (s == BESIDE, -per_step[s])):
             parts = sorted((s for s in per_step if s.startswith(f"{top}/")), key=lambda s: -per_step[s])
             rows.append((top, per_step[top]))
             rows += [(f"  {part.partition('/')[2]}", per_step[part]) for part in parts]
@@ -76,14 +79,14 @@ class Profile:
         return rows
 
     def table(self) -> Table:
-        """:meth:`rows` for the terminal, with each section's share of the whole."""
+        """:meth:`rows` for the terminal, with each section's share of the sum; below it what a second process did."""
         rows = self.rows()
-        total = sum(value for name, value in rows if not name.startswith(" "))
+        end = next((i for i, (name, _) in enumerate(rows) if name == BESIDE), len(rows))
+        total = sum(value for name, value in rows[:end] if not name.startswith(" "))
         title = f"where the time went ({self.env_steps} steps with updates)"
         table = Table("section", "ms a step", "share", title=title)
-        for name, value in rows:
+        for name, value in [*rows[:end], ("sum", total), *rows[end:]]:
             table.add_row(name, f"{value:.3f}", f"{value / total:.0%}" if total else "")
-        table.add_row("sum", f"{total:.3f}", "100%")
         return table
 
 
@@ -91,3 +94,12 @@ def measured(stopwatch: Stopwatch | None, num_seeds: int) -> dict[str, list[floa
     """What a stopwatch has measured since the last time, as metrics."""
     times = {} if stopwatch is None else stopwatch.lap()
     return {metrics.name(metrics.TIME, section): [seconds] * num_seeds for section, seconds in times.items()}
+
+
+def beside(values: Mapping[str, list[float]], seconds: float) -> dict[str, list[float]]:
+    """The metrics of a collection that took ``seconds`` in a second process: its parts under another name."""
+    collect, there = metrics.name(metrics.TIME, "collect"), metrics.name(metrics.TIME, BESIDE)
+    renamed = {
+        there + key.removeprefix(collect) if key.startswith(collect) else key: value for key, value in values.items()
+    }
+    return renamed | {there: [seconds] * len(next(iter(values.values())))}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TypeVar
@@ -47,7 +49,7 @@ class Progress:
             console=self.console,
             disable=not self.console.is_terminal,
         )
-        with bar:
+        with bar, _above_the_bar():
             self._task = bar.add_task("training", total=total or None, completed=done, status="")
             self._bar = bar
             yield
@@ -71,6 +73,20 @@ class Progress:
         for item in items:
             self.console.print(f"{what}: {item}", highlight=False)
             yield item
+
+
+@contextmanager
+def _above_the_bar() -> Iterator[None]:
+    """Let log messages pass through the bar, which has taken the place of stdout and stderr, and not across it."""
+    before = {}
+    for handler in logging.getLogger().handlers:
+        if isinstance(handler, logging.StreamHandler) and handler.stream in (sys.__stdout__, sys.__stderr__):
+            before[handler] = handler.setStream(sys.stdout if handler.stream is sys.__stdout__ else sys.stderr)
+    try:
+        yield
+    finally:
+        for handler, stream in before.items():
+            handler.setStream(stream or sys.__stderr__)
 
 
 def describe(comparisons: Sequence[Comparison]) -> str:

@@ -20,8 +20,12 @@ class Stopwatch:
         try:
             yield
         finally:
-            elapsed = time.perf_counter() - start
-            self._sections[section] = self._sections.get(section, 0.0) + elapsed
+            self.add(section, time.perf_counter() - start)
+
+    def add(self, section: str, seconds: float) -> None:
+        """Count seconds that were measured elsewhere."""
+        if seconds:
+            self._sections[section] = self._sections.get(section, 0.0) + seconds
 
     def lap(self) -> dict[str, float]:
         """Return the seconds by section and start anew."""

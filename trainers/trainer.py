@@ -230,7 +230,9 @@ class Trainer:
     def _update(self) -> Metrics:
         with self.stopwatch("sample"):
             batches = self.store.sample(self.settings.updates_per_round)
+        compiled = getattr(self.agent, "compile_seconds", 0.0)
         losses = self.agent.update(batches)
+        self.stopwatch.add("compile", getattr(self.agent, "compile_seconds", 0.0) - compiled)
         require_finite(losses, "the update gave")
         return {metrics.name(metrics.LOSS, k): v.tolist() for k, v in losses.items()}
 

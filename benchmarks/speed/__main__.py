@@ -1,14 +1,15 @@
 """``make benchmark``: every contender in turn, round after round, on the same task with the same settings.
 
-    python -m benchmarks.speed                       # one run, three rounds
+    python -m benchmarks.speed                       # one run on all cores, three rounds
     python -m benchmarks.speed --seeds 10            # ten seeds: peers in two processes of one thread each
     python -m benchmarks.speed --success 0.9         # also the time until 90 % of the frozen episodes are solved; round
                                                      # k trains seed k
     python -m benchmarks.speed env=insertion-sim     # an override of `rrl train`, for all
 
-Peers come with ``pip install rrl[benchmark]``; one that is not there is left out. All get one torch thread a process
-and flushed denormal numbers. Absolute figures belong to the machine, ratios travel; on a machine that does other work
-too, read the column "processor": of the busiest process, which nobody else's work lengthens much.
+Peers come with ``pip install rrl[benchmark]``; one that is not there is left out. All get flushed denormal numbers, and
+the machine's cores: a single run of a peer as threads, ours as the process that collects beside the updates. Absolute
+figures belong to the machine, ratios travel; on a machine that does other work too, read the column "processor": of all
+threads of the busiest process, which nobody else's work lengthens much.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from typing import Any
 
 from rich.console import Console
 from rich.markdown import Markdown
+
+from rrl.threads import cores
 
 from .report import chart, table
 
@@ -41,12 +44,14 @@ def plan(seeds: int) -> dict[str, list[list[str]]]:
         ["rrl", "--stack", str(half), "--seed", str(first), "trainer.overlap=false"] for first in (0, half)
     ]
     pairs = {name: [[*args, "--seed", str(k)] for k in range(2)] for name, args in peers.items()}
-    return {"rrl-stack": [["rrl", "--stack", str(seeds)]], "rrl-stacks": stacks, **pairs}
+    stack = ["rrl", "--stack", str(seeds), "trainer.overlap=false"]
+    return {"rrl-stack": [stack], "rrl-stacks": stacks, **pairs}
 
 
 def run(processes: list[list[str]], common: list[str]) -> dict[str, Any]:
     """Run a contender's processes side by side; seed-steps a second of all together."""
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    threads = str(max(1, cores() // len(processes)))
+    environment = {**os.environ, "OMP_NUM_THREADS": threads, "MKL_NUM_THREADS": threads}
     command = [sys.executable, "-W", "ignore", "-m", "benchmarks.speed.contenders"]
     started = [
         subprocess.Popen([*command, *arguments, *common], stdout=subprocess.PIPE, text=True, env=environment)

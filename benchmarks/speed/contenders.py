@@ -183,7 +183,6 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=50)
     parser.add_argument("overrides", nargs="*")
     options = parser.parse_intermixed_args()
-    torch.set_num_threads(1)
     torch.set_flush_denormal(True)
     switches = {"rrl": FAST, "rrl-plain": PLAIN}.get(options.name, [])
     config = configuration(

@@ -4,33 +4,30 @@ from __future__ import annotations
 
 import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
 from typing import Any, ClassVar
 
 import torch
-from tensordict import NestedKey, TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.objectives import LossModule, SoftUpdate
 from torchrl.objectives.utils import ValueEstimators
 
 from rrl.adam import Adam
-from rrl.compilation import CompiledUpdate, can_compile
+from rrl.algorithms.steps import GradientSteps, Step
+from rrl.checks import check
 from rrl.keys import ACTION
 from rrl.networks import StackedMLP
 from rrl.random import SlotGenerators
 from rrl.symmetry import SymmetricActor, Symmetry
 
-__all__ = ["Agent", "check"]
+__all__ = ["Agent"]
 
 UPDATES_PER_GRAPH = 4
 """At most: every further one saves less time in a call and takes as long to compile as the first."""
 
 LOSS_FUNCTIONS = ("l1", "l2", "smooth_l1")
-
-Step = Callable[[TensorDictBase], dict[str, Tensor]]
-"""One gradient update, of a batch ``[S, B]``, to metrics ``[S]``."""
 
 
 class Agent(nn.Module, ABC):
@@ -167,7 +164,7 @@ class Agent(nn.Module, ABC):
         self._actor_params = list(actor_params.values(True, True))
         self.critic_optimizer = Adam(self._critic_params, self.critic_lr)
         self.actor_optimizer = Adam(self._actor_params, self.actor_lr)
-        self._graphs: dict[Any, CompiledUpdate] | None = {} if self.compiled and can_compile() else None
+        self._take = GradientSteps(self, self.compiled)
 
     def start_from(self, other: Agent, k: int) -> None:
         """Take the networks of learner ``k`` of ``other`` as every learner's initial weights; optimisers stay fresh.
@@ -210,6 +207,11 @@ class Agent(nn.Module, ABC):
 
     # ---------------------------------------------------------------- learning
 
+    @property
+    def compile_seconds(self) -> float:
+        """Seconds that compiling updates has taken so far."""
+        return self._take.compile_seconds
+
     def update(self, batches: TensorDictBase) -> dict[str, Tensor]:
         """Take one gradient step per batch.
 
@@ -232,7 +234,7 @@ class Agent(nn.Module, ABC):
         history: dict[str, list[Tensor]] = {}
         for first, steps in self._plan(len(batches)):
             part = [column[first : first + len(steps)] for column in columns]
-            for name, values in self._learn(steps, keys, part).items():
+            for name, values in self._take(steps, keys, part).items():
                 history.setdefault(name, []).append(values)
         return {name: torch.cat(values).mean(0) for name, values in history.items()}
 
@@ -250,24 +252,6 @@ class Agent(nn.Module, ABC):
         if self.num_updates % self.policy_delay:
             return self._critic_step
         return self._critic_and_target_step if self.num_updates <= self.critic_burn_in else self._critic_and_policy_step
-
-    def _learn(self, steps: tuple[Step, ...], keys: tuple[NestedKey, ...], columns: list[Tensor]) -> dict[str, Tensor]:
-        """Take one step after the other, each with its row of the entries ``[n, S, B, ...]``; metrics ``[<= n, S]``."""
-        update = partial(self._take, steps, keys)
-        if self._graphs is None:
-            return update(*columns)
-        kind = (tuple(step.__name__ for step in steps), keys, tuple(column.shape for column in columns))
-        if kind not in self._graphs:
-            self._graphs[kind] = CompiledUpdate(update, self)
-        return self._graphs[kind](*columns)
-
-    def _take(self, steps: tuple[Step, ...], keys: tuple[NestedKey, ...], *columns: Tensor) -> dict[str, Tensor]:
-        history: dict[str, list[Tensor]] = {}
-        for step, *row in zip(steps, *columns, strict=True):
-            batch = TensorDict(dict(zip(keys, row, strict=True)), row[0].shape[:2])
-            for name, value in step(batch).items():
-                history.setdefault(name, []).append(value)
-        return {name: torch.stack(values) for name, values in history.items()}
 
     def _reflect(self, batches: TensorDictBase, symmetry: Symmetry) -> None:
         """Put a mirror image, drawn by the transition's seed, in the place of each transition."""
@@ -325,9 +309,3 @@ class Agent(nn.Module, ABC):
         self._noise.load_state_dict(state["noise"])
         if self.symmetry is not None:
             self._images.load_state_dict(state["images"])
-
-
-def check(name: str, value: object, expected: str, fine: bool) -> None:
-    """Raise a ValueError that names a hyperparameter, unless it is fine."""
-    if not fine:
-        raise ValueError(f"{name}: expected {expected}, got {value!r}")

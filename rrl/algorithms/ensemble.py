@@ -14,7 +14,8 @@ from torchrl.objectives import LossModule, SACLoss, TD3Loss
 from torchrl.objectives.sac import compute_rsample_log_prob
 from torchrl.objectives.utils import distance_loss
 
-from rrl.algorithms.base import Agent, check
+from rrl.algorithms.base import Agent
+from rrl.checks import check
 from rrl.random import SlotGenerators
 
 __all__ = ["SUBSET", "EnsembleAgent", "EnsembleSACLoss", "EnsembleTD3Loss", "draw_subsets"]

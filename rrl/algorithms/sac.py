@@ -16,9 +16,9 @@ from torch import Tensor, nn
 from torchrl.objectives import SACLoss
 
 from rrl.adam import Adam
-from rrl.algorithms.base import check
 from rrl.algorithms.ensemble import EnsembleAgent, EnsembleSACLoss
 from rrl.algorithms.squashed_gaussian import GaussianHead, SquashedGaussian, SquashedGaussianPolicy
+from rrl.checks import check
 from rrl.keys import ACTION
 from rrl.networks import StackedMLP
 from rrl.random import SlotGenerators

@@ -9,8 +9,8 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
 from torch import Tensor
 
-from rrl.algorithms.base import check
 from rrl.algorithms.ensemble import EnsembleAgent, EnsembleTD3Loss
+from rrl.checks import check
 from rrl.keys import ACTION
 
 SMOOTHING = "target_smoothing"

@@ -52,12 +52,26 @@ def test_slot_equals_a_batch_of_one(variant: str) -> None:
     assert together["contact_force"].max() > 0
 
 
-def test_results_do_not_depend_on_threads(variant: str) -> None:
-    one, two = (InsertionEnv(variant, num_envs=4, num_threads=n, yaw_range=0.3) for n in (1, 2))
-    assert_same(one.reset(), two.reset())
-    for action in random_actions(20, 4):
-        assert_same(act(one, action), act(two, action))
-    two.close()
+def test_results_do_not_depend_on_threads(variant: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    envs = [InsertionEnv(variant, num_envs=16, num_threads=n, yaw_range=0.3) for n in (1, 2)]
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    envs.append(InsertionEnv(variant, num_envs=16, yaw_range=0.3))
+    assert [len(env._simulation._data) for env in envs] == [1, 2, 2]
+    one, *others = [env.reset() for env in envs]
+    for other in others:
+        assert_same(one, other)
+    for action in random_actions(20, 16):
+        one, *others = [act(env, action) for env in envs]
+        for other in others:
+            assert_same(one, other)
+    for env in envs:
+        env.close()
+
+
+def test_few_environments_get_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "4")
+    threads = [len(InsertionEnv("sim", num_envs=n)._simulation._data) for n in (1, 15, 16, 80)]
+    assert threads == [1, 1, 2, 4]
 
 
 def test_seed_reproduces_and_slots_differ(variant: str) -> None:

@@ -46,7 +46,7 @@ assert ("torch._inductor.compile_fx" in sys.modules) == {there}
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # the compiler warns of its own doings
-def test_a_compiled_update_changes_the_tensors_that_its_update_holds_on_to():
+def test_a_compiled_update_changes_the_tensors_that_its_update_holds_on_to(caplog):
     module, traced = torch.nn.Module(), []
     module.weight = torch.nn.Parameter(torch.ones(3))
     module.register_buffer("total", torch.zeros(3))
@@ -62,7 +62,11 @@ def test_a_compiled_update_changes_the_tensors_that_its_update_holds_on_to():
         return {"slope": slope, "sum": module.total.sum()}
 
     compiled = CompiledUpdate(update, module)
-    first = compiled(torch.full((3,), 2.0))
+    assert compiled.compile_seconds == 0
+    with caplog.at_level("INFO", "rrl.compilation"):
+        first = compiled(torch.full((3,), 2.0))
+    assert "compiling the update" in caplog.text
+    assert compiled.compile_seconds > 0
     assert (first["slope"] == 2).all()
     assert (module.weight == -1).all()
     assert (module.total == -1).all()

@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+from rrl.threads import cores
+
 POLL_SECONDS = 0.2
 GRACE_SECONDS = 120.0
 """How long a run that is asked to stop may take to finish its round and save."""
@@ -60,7 +62,7 @@ class LocalLauncher:
     """
 
     def __init__(self, workers: int | None = None) -> None:
-        self.slots = workers or _cores()
+        self.slots = workers or cores()
 
     def start(self, arguments: Sequence[str], log: Path) -> Handle:
         """Start a process; Ctrl-C in the terminal does not reach it, so that it is stopped by us alone."""
@@ -118,11 +120,6 @@ def spawn(arguments: Sequence[str], log: Path, cwd: str | None = None, path: Seq
             env=variables,
             start_new_session=True,
         )
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class _Process:

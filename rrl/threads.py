@@ -1,0 +1,18 @@
+"""How many threads there are to use."""
+
+from __future__ import annotations
+
+import os
+
+__all__ = ["available_threads", "cores"]
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def available_threads() -> int:
+    """``OMP_NUM_THREADS`` where it is set, as for torch; else one a core."""
+    first = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()
+    return int(first) if first.isdecimal() and int(first) > 0 else cores()
