@@ -2,8 +2,8 @@
 
     python -m benchmarks.speed                       # one run on all cores, three rounds
     python -m benchmarks.speed --seeds 10            # ten seeds: peers in two processes of one thread each
-    python -m benchmarks.speed --success 0.9         # also the time until 90 % of the frozen episodes are solved; round
-                                                     # k trains seed k
+    python -m benchmarks.speed --success 0.9         # also the time until 90 % of the frozen episodes are solved, here
+                                                     # of `rrl train` as it comes, too; round k trains seed k
     python -m benchmarks.speed env=insertion-sim     # an override of `rrl train`, for all
 
 Peers come with ``pip install rrl[benchmark]``; one that is not there is left out. All get flushed denormal numbers, and
@@ -88,10 +88,12 @@ def main() -> None:
     options = parser.parse_intermixed_args()
     if options.success and options.seeds > 1:
         sys.exit("--success looks at one seed a round: expected --seeds 1")
-    steps, warmup = (10_000, 1000) if options.success else (options.steps, options.warmup)
-    common = [f"trainer.total_steps={steps}", f"trainer.warmup_steps={warmup}", *options.overrides]
-    common += ["--every", "1000"] if options.success else []
-    contenders = plan(options.seeds)
+    if options.success:  # with the warm-up that belongs to each algorithm
+        common = ["trainer.total_steps=10000", "--every", "1000"]
+    else:
+        common = [f"trainer.total_steps={options.steps}", f"trainer.warmup_steps={options.warmup}"]
+    common += options.overrides
+    contenders = plan(options.seeds) | ({"rrl-default": [["rrl-default"]]} if options.success else {})
     if options.only:
         contenders = {name: contenders[name] for name in contenders if name in {*options.only, "sb3"}}
     if "sb3" not in contenders:

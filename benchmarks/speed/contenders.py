@@ -166,6 +166,7 @@ def _evaluate(
 CONTENDERS: dict[str, Callable[..., None]] = {
     "rrl": ours,
     "rrl-plain": ours,
+    "rrl-default": ours,
     "sb3": stable_baselines,
     "sbx": sbx,
     "cleanrl": cleanrl,
@@ -196,7 +197,8 @@ def main() -> None:
             "trainer.checkpoint.every=0",
             *switches,
             *options.overrides,
-        ]
+        ],
+        algorithm=None if options.name == "rrl-default" else "td3",
     )
     torch.manual_seed(options.seed)
     meter = Meter(config["trainer"]["warmup_steps"])

@@ -16,6 +16,7 @@ REFERENCE = "sb3"
 LABELS = {
     "rrl": "rrl",
     "rrl-plain": "rrl, plain settings",
+    "rrl-default": "rrl, its default algorithm",
     "rrl-stack": "rrl, one process",
     "rrl-stacks": "rrl, two processes",
     "sb3": "Stable-Baselines3",

@@ -25,11 +25,12 @@ from rrl.trainers.cli import plain_name
 Config = dict[str, Any]
 
 
-def configuration(overrides: list[str]) -> Config:
-    """The configuration of ``rrl train`` with ``overrides``."""
+def configuration(overrides: list[str], algorithm: str | None = "td3") -> Config:
+    """The configuration of ``rrl train`` with ``overrides``, by default with the algorithm that all libraries have."""
+    chosen = [] if algorithm is None else [f"algorithm={algorithm}"]
     OmegaConf.register_new_resolver("plain", plain_name, replace=True)
     with initialize_config_module("rrl.configs", version_base="1.3"):
-        config = compose("train", overrides=["logger=[csv]", "algorithm=td3", *overrides])
+        config = compose("train", overrides=["logger=[csv]", *chosen, *overrides])
     container = OmegaConf.to_container(config, resolve=True)
     assert isinstance(container, dict)
     return {str(key): value for key, value in container.items()}
