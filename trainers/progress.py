@@ -78,15 +78,15 @@ class Progress:
 @contextmanager
 def _above_the_bar() -> Iterator[None]:
     """Let log messages pass through the bar, which has taken the place of stdout and stderr, and not across it."""
-    before = {}
-    for handler in logging.getLogger().handlers:
-        if isinstance(handler, logging.StreamHandler) and handler.stream in (sys.__stdout__, sys.__stderr__):
-            before[handler] = handler.setStream(sys.stdout if handler.stream is sys.__stdout__ else sys.stderr)
+    handlers = [h for h in logging.getLogger().handlers if isinstance(h, logging.StreamHandler)]
+    before = {h: h.stream for h in handlers if h.stream in (sys.__stdout__, sys.__stderr__)}
+    for handler, stream in before.items():
+        handler.setStream(sys.stdout if stream is sys.__stdout__ else sys.stderr)
     try:
         yield
     finally:
         for handler, stream in before.items():
-            handler.setStream(stream or sys.__stderr__)
+            handler.setStream(stream)
 
 
 def describe(comparisons: Sequence[Comparison]) -> str:
