@@ -20,16 +20,16 @@ from typing import Any
 import yaml
 from rich.console import Console
 
-from rrl.trainers import cli
-from rrl.trainers.experiments.display import Display
-from rrl.trainers.experiments.launchers import make
+from rrl.trainers.cli import main as cli
+from rrl.trainers.evaluation.statistics import mean_interval
 from rrl.trainers.experiments.outcomes import Finding, Outcome, gather
 from rrl.trainers.experiments.plan import plan_jobs, plan_points
-from rrl.trainers.experiments.pool import run_jobs, tail
 from rrl.trainers.experiments.spec import Experiment, Settings, load_experiments, load_settings
-from rrl.trainers.experiments.store import Store
-from rrl.trainers.interruption import Interrupted
-from rrl.trainers.statistics import mean_interval
+from rrl.trainers.launch.display import Display
+from rrl.trainers.launch.launchers import make
+from rrl.trainers.launch.pool import run_jobs, tail
+from rrl.trainers.launch.store import Store
+from rrl.trainers.training.interruption import Interrupted
 
 FOLDER = Path(__file__).parent / "ablation"
 COMMAND = ("scale", "launcher", "workers", "out")

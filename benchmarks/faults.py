@@ -65,7 +65,7 @@ def launch(run_dir: Path, steps: int) -> int:
     output = os.open(run_dir / "output.txt", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     os.dup2(output, 1)
     os.dup2(output, 2)
-    from rrl.trainers.cli import main
+    from rrl.trainers.cli.main import main
 
     status = 1
     with contextlib.suppress(BaseException):
@@ -108,7 +108,7 @@ def being_written(run_dir: Path) -> bool:
 
 def lost_transitions(run_dir: Path) -> int:
     """Transitions that ``metrics.csv`` acknowledges and the log on disk does not hold intact."""
-    from rrl.trainers.transition_log import TransitionLog
+    from rrl.trainers.storage.transition_log import TransitionLog
 
     log = TransitionLog(run_dir / "transitions")
     acknowledged = max((step for step, _, _ in read_metrics(run_dir)), default=0) * 2  # two seeds
@@ -152,7 +152,7 @@ def transitions(run_dir: Path) -> bytes:
 
 def tail_made_again(tail: Path) -> bool:
     """Whether the resumed run made the transitions of a tail again as they were."""
-    from rrl.trainers.transition_log import TransitionLog
+    from rrl.trainers.storage.transition_log import TransitionLog
 
     log = TransitionLog(tail.parent)
     size = log._record.itemsize
@@ -181,7 +181,7 @@ def main() -> int:
     import torch.utils.tensorboard  # noqa: F401 - what the children need is imported once, here
 
     import rrl.envs
-    import rrl.trainers.commands  # noqa: F401
+    import rrl.trainers.cli.commands  # noqa: F401
 
     with contextlib.ExitStack() as stack:
         out = arguments.out or Path(stack.enter_context(tempfile.TemporaryDirectory()))

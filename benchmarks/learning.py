@@ -23,7 +23,7 @@ from scipy import stats
 
 from benchmarks.speed.contenders import FAST, PLAIN
 from benchmarks.speed.task import configuration
-from rrl.trainers import assembly
+from rrl.trainers.configuration import build as assembly
 
 WAYS = {"fast": FAST, "plain": PLAIN}
 

@@ -87,7 +87,7 @@ def open_files() -> dict[str, str]:
 
 def watch(trainer, minutes: float, window: float) -> list[Sample]:
     """Train until the time is over; one sample a window."""
-    from rrl.trainers.interruption import Interrupted
+    from rrl.trainers.training.interruption import Interrupted
 
     start = time.monotonic()
     samples = [sample(start, 0)]
@@ -149,7 +149,7 @@ def main() -> int:
     from hydra import compose, initialize_config_module
     from omegaconf import OmegaConf
 
-    from rrl.trainers import assembly
+    from rrl.trainers.configuration import build as assembly
 
     with initialize_config_module("rrl.configs", version_base="1.3"):
         config = OmegaConf.to_container(compose("train", overrides=SETTINGS), resolve=True)

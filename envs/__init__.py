@@ -9,12 +9,12 @@ Example:
 from __future__ import annotations
 
 from . import _quiet as _quiet  # before anything that imports dm_control
-from .composer_env import ComposerEnv
-from .config import InsertionConfig, make_config
-from .insertion import InsertionEnv
-from .registry import NAMES, load
-from .render import Renderer, RenderingUnavailable, render_composer, render_states, write_video
-from .task import InsertionTask
+from .composer import ComposerEnv
+from .insertion.batched_env import InsertionEnv
+from .insertion.composer_task import InsertionTask
+from .insertion.config import InsertionConfig, make_config
+from .insertion.registry import NAMES, load
+from .insertion.render import Renderer, RenderingUnavailable, render_composer, render_states, write_video
 
 __all__ = [
     "NAMES",

@@ -13,7 +13,7 @@ from torchrl.data import Bounded, TensorSpec
 from torchrl.envs.utils import ExplorationType, exploration_type
 
 from rrl.keys import ACTION
-from rrl.random import SlotGenerators
+from rrl.slot_random import SlotGenerators
 
 __all__ = ["ExplorationNoise", "GaussianExploration", "NoExploration", "OrnsteinUhlenbeckExploration", "Ramp"]
 

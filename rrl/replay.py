@@ -8,7 +8,7 @@ import torch
 from torchrl.data.replay_buffers.samplers import Sampler
 from torchrl.data.replay_buffers.storages import Storage
 
-from rrl.random import SlotGenerators
+from rrl.slot_random import SlotGenerators
 
 
 class StackedSampler(Sampler):

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from rrl.networks import StackedMLP
-
-__all__ = ["SymmetricActor", "Symmetry", "as_map"]
+__all__ = ["Symmetry", "as_map"]
 
 Map = tuple[int, ...]
 """A signed permutation: number ``i`` of the image is number ``abs(map[i])``, counted from 1, of the original, times the
@@ -63,30 +61,6 @@ class Symmetry:
     def return_actions(self, actions: Tensor, signed: bool = True) -> Tensor:
         """Return what each image's action ``[..., G, m]`` is in the original; magnitudes are not ``signed``."""
         return self._action_back.each(actions, signed)
-
-
-class SymmetricActor(nn.Module):
-    """The mean over all images of what ``actor`` says: the images of an observation get images of one action.
-
-    Args:
-        actor: from observations to one or more numbers for each dimension of the action; the first are signed, all
-            further ones magnitudes.
-        symmetry: of the task.
-
-    """
-
-    def __init__(self, actor: StackedMLP, symmetry: Symmetry) -> None:
-        super().__init__()
-        self.actor, self.symmetry = actor, symmetry
-        self.num_seeds = actor.num_seeds
-
-    def forward(self, *inputs: Tensor) -> Tensor:
-        """Map ``[..., n]`` to ``[..., out]``."""
-        said = self.actor(self.symmetry.images(torch.cat(inputs, -1)))  # (..., G, out)
-        signed, *magnitudes = said.split(self.symmetry.action_size, -1)
-        parts = [self.symmetry.return_actions(signed)]
-        parts += [self.symmetry.return_actions(part, signed=False) for part in magnitudes]
-        return torch.cat(parts, -1).mean(-2)
 
 
 class _Maps:

@@ -6,7 +6,7 @@ import pytest
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
-from rrl.trainers import assembly
+from rrl.trainers.configuration import build as assembly
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 ELSEWHERE = {"experiment", "controller=policy", "controller=replay"}

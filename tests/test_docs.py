@@ -15,10 +15,10 @@ from nbclient import NotebookClient
 from omegaconf import OmegaConf
 
 from rrl.controllers import ProportionalController
-from rrl.trainers import assembly
-from rrl.trainers.cli import COMMANDS, plain_name
+from rrl.trainers.cli.main import COMMANDS, plain_name
+from rrl.trainers.cli.new import create
+from rrl.trainers.configuration import build as assembly
 from rrl.trainers.environment import EnvironmentFactory, Input
-from rrl.trainers.new import create
 from toy_envs import PointMass
 
 ROOT = Path(__file__).parents[1]

@@ -8,7 +8,7 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from rrl.random import SlotGenerators
+from rrl.slot_random import SlotGenerators
 
 EPISODE_STEPS = 20
 STEP_SIZE = 0.1  # metres that one unit of action moves the point

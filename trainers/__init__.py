@@ -10,19 +10,19 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .config import CheckpointSettings, EvaluationSettings, TrainerSettings
     from .environment import EnvironmentFactory, Input
-    from .trainer import Trainer
+    from .settings import CheckpointSettings, EvaluationSettings, TrainerSettings
+    from .training.trainer import Trainer
 
 __all__ = ["CheckpointSettings", "EnvironmentFactory", "EvaluationSettings", "Input", "Trainer", "TrainerSettings"]
 
 _MODULES = {
-    "CheckpointSettings": ".config",
+    "CheckpointSettings": ".settings",
     "EnvironmentFactory": ".environment",
-    "EvaluationSettings": ".config",
+    "EvaluationSettings": ".settings",
     "Input": ".environment",
-    "Trainer": ".trainer",
-    "TrainerSettings": ".config",
+    "Trainer": ".training.trainer",
+    "TrainerSettings": ".settings",
 }
 
 

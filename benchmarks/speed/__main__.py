@@ -26,9 +26,8 @@ from typing import Any
 from rich.console import Console
 from rich.markdown import Markdown
 
+from benchmarks.speed.report import chart, table
 from rrl.threads import cores
-
-from .report import chart, table
 
 NEEDS = {"sb3": "stable_baselines3", "sbx": "sbx"}
 PEERS = ["sb3", "sbx", "cleanrl", "torchrl"]

@@ -14,10 +14,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from .meter import Meter
-from .networks import Networks
-from .task import Config, PlainInsertion, configuration, success_rate
-from .torchrl_trainer import td3_trainer
+from benchmarks.speed.meter import Meter
+from benchmarks.speed.networks import Networks
+from benchmarks.speed.task import Config, PlainInsertion, configuration, success_rate
+from benchmarks.speed.torchrl_trainer import td3_trainer
 
 FAST = [
     "algorithm.agent.compiled=true",
@@ -35,7 +35,7 @@ PLAIN = [
 
 def ours(config: Config, options: argparse.Namespace, meter: Meter) -> None:
     """``rrl train`` without table and video."""
-    from rrl.trainers import assembly
+    from rrl.trainers.configuration import build as assembly
 
     trainer = assembly.trainer(config, Path(tempfile.mkdtemp()))
     process = getattr(trainer.experience, "_process", None)

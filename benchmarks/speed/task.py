@@ -14,13 +14,13 @@ import numpy as np
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
-from rrl.envs import quantities
-from rrl.envs.config import make_config
-from rrl.envs.control import set_points
-from rrl.envs.scene import compile_model
-from rrl.envs.simulation import BatchSimulation
-from rrl.envs.start import draw_episode
-from rrl.trainers.cli import plain_name
+from rrl.envs.insertion import quantities
+from rrl.envs.insertion.config import make_config
+from rrl.envs.insertion.model.scene import compile_model
+from rrl.envs.insertion.physics.control import set_points
+from rrl.envs.insertion.physics.simulation import BatchSimulation
+from rrl.envs.insertion.physics.start import draw_episode
+from rrl.trainers.cli.main import plain_name
 
 Config = dict[str, Any]
 

@@ -16,14 +16,14 @@ from torchrl.modules import AdditiveGaussianModule
 from torchrl.objectives import SoftUpdate, TD3Loss
 from torchrl.trainers.algorithms.td3 import TD3OptimizationStepper, TD3Trainer
 
-from .meter import Meter
-from .networks import Networks
-from .task import Config
+from benchmarks.speed.meter import Meter
+from benchmarks.speed.networks import Networks
+from benchmarks.speed.task import Config
 
 
 def td3_trainer(config: Config, options: argparse.Namespace, meter: Meter) -> None:
     """TorchRL's ``TD3Trainer``: as many updates as frames after every collection."""
-    from rrl.trainers import assembly
+    from rrl.trainers.configuration import build as assembly
 
     agent, trainer, frames = config["algorithm"]["agent"], config["trainer"], config["trainer"]["steps_per_collection"]
     env = assembly.environment(config).make(1)

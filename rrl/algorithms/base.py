@@ -14,13 +14,14 @@ from torch import Tensor, nn
 from torchrl.objectives import LossModule, SoftUpdate
 from torchrl.objectives.utils import ValueEstimators
 
-from rrl.adam import Adam
+from rrl.algorithms.adam import Adam
+from rrl.algorithms.networks import StackedMLP
 from rrl.algorithms.steps import GradientSteps, Step
+from rrl.algorithms.symmetric_actor import SymmetricActor
 from rrl.checks import check
 from rrl.keys import ACTION
-from rrl.networks import StackedMLP
-from rrl.random import SlotGenerators
-from rrl.symmetry import SymmetricActor, Symmetry
+from rrl.slot_random import SlotGenerators
+from rrl.symmetry import Symmetry
 
 __all__ = ["Agent"]
 

@@ -16,7 +16,7 @@ from torchrl.objectives.utils import distance_loss
 
 from rrl.algorithms.base import Agent
 from rrl.checks import check
-from rrl.random import SlotGenerators
+from rrl.slot_random import SlotGenerators
 
 __all__ = ["SUBSET", "EnsembleAgent", "EnsembleSACLoss", "EnsembleTD3Loss", "draw_subsets"]
 

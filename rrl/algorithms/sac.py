@@ -15,14 +15,14 @@ from tensordict.nn import (
 from torch import Tensor, nn
 from torchrl.objectives import SACLoss
 
-from rrl.adam import Adam
+from rrl.algorithms.adam import Adam
 from rrl.algorithms.ensemble import EnsembleAgent, EnsembleSACLoss
+from rrl.algorithms.networks import StackedMLP
 from rrl.algorithms.squashed_gaussian import GaussianHead, SquashedGaussian, SquashedGaussianPolicy
+from rrl.algorithms.symmetric_actor import SymmetricActor
 from rrl.checks import check
 from rrl.keys import ACTION
-from rrl.networks import StackedMLP
-from rrl.random import SlotGenerators
-from rrl.symmetry import SymmetricActor
+from rrl.slot_random import SlotGenerators
 
 NOISE = "action_noise"
 TEMPERATURE = "temperature"

@@ -13,10 +13,10 @@ from torch import Tensor, nn
 from torch.distributions import Distribution
 from torchrl.envs.utils import ExplorationType, exploration_type
 
+from rrl.algorithms.networks import StackedMLP
+from rrl.algorithms.symmetric_actor import SymmetricActor
 from rrl.keys import ACTION
-from rrl.networks import StackedMLP
-from rrl.random import SlotGenerators
-from rrl.symmetry import SymmetricActor
+from rrl.slot_random import SlotGenerators
 
 __all__ = ["GaussianHead", "SquashedGaussian", "SquashedGaussianPolicy"]
 

@@ -10,7 +10,7 @@ import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor, nn
 
-from rrl.compilation import CompiledUpdate, can_compile
+from rrl.algorithms.compilation import CompiledUpdate, can_compile
 
 Step = Callable[[TensorDictBase], dict[str, Tensor]]
 """One gradient update, of a batch ``[S, B]``, to metrics ``[S]``."""

@@ -2,12 +2,12 @@
 
 from rrl.transforms.action_history import ActionHistory
 from rrl.transforms.control_noise import ControlNoise
-from rrl.transforms.force_limit import ForceLimit
-from rrl.transforms.observation_latency import ObservationLatency
-from rrl.transforms.observation_noise import ObservationNoise
 from rrl.transforms.residual_action import ResidualAction
-from rrl.transforms.step_limit import StepLimit
-from rrl.transforms.workspace_limit import WorkspaceLimit
+from rrl.transforms.safety.force_limit import ForceLimit
+from rrl.transforms.safety.step_limit import StepLimit
+from rrl.transforms.safety.workspace_limit import WorkspaceLimit
+from rrl.transforms.sensing.observation_latency import ObservationLatency
+from rrl.transforms.sensing.observation_noise import ObservationNoise
 
 __all__ = [
     "ActionHistory",

@@ -7,7 +7,7 @@ from typing import Any
 from tensordict import NestedKey, unravel_key
 from torchrl.envs.transforms import Transform
 
-from rrl.transforms.limits import ActionLimits, action_leaf, limits_of
+from rrl.transforms.action_bounds import ActionLimits, action_leaf, limits_of
 
 __all__ = ["ActionTransform", "sibling"]
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec
 from torchrl.envs.transforms import Transform
 
-from rrl.random import Seeded, SlotGenerators
+from rrl.slot_random import Seeded, SlotGenerators
 
 __all__ = ["RandomTransform", "SlotTransform"]
 

@@ -13,8 +13,8 @@ from torchrl.data import Composite, Unbounded
 from rrl.checks import check_length, per_dimension
 from rrl.keys import ACTION, EXECUTED_ACTION
 from rrl.transforms.action import ActionTransform, sibling
+from rrl.transforms.action_bounds import ActionLimits
 from rrl.transforms.base import RandomTransform
-from rrl.transforms.limits import ActionLimits
 from rrl.transforms.masks import merge, reset_mask, step_mask
 
 __all__ = ["ControlNoise"]

@@ -16,8 +16,8 @@ from rrl.controllers.base import Controller
 from rrl.controllers.policy import PolicyController
 from rrl.keys import ACTION, BASE_ACTION
 from rrl.transforms.action import ActionTransform, sibling
+from rrl.transforms.action_bounds import ActionLimits
 from rrl.transforms.base import SlotTransform
-from rrl.transforms.limits import ActionLimits
 from rrl.transforms.masks import merge, reset_mask, step_mask
 
 __all__ = ["ResidualAction"]

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from rrl.envs.config import PRESETS
+from rrl.envs.insertion.config import PRESETS
 
 
 @pytest.fixture(params=PRESETS)

@@ -9,10 +9,10 @@ import torch
 from rrl.algorithms import TD3
 from rrl.controllers import ProportionalController
 from rrl.exploration import GaussianExploration
-from rrl.trainers.config import CheckpointSettings, EvaluationSettings, TrainerSettings
 from rrl.trainers.environment import EnvironmentFactory, Input
 from rrl.trainers.loggers import CSVLogger
-from rrl.trainers.trainer import Trainer
+from rrl.trainers.settings import CheckpointSettings, EvaluationSettings, TrainerSettings
+from rrl.trainers.training.trainer import Trainer
 from rrl.transforms import ControlNoise
 from toy_envs import EPISODE_STEPS, PointMass, RememberingPointMass
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..statistics import exact_interval, mean_interval
+from ..evaluation.statistics import exact_interval, mean_interval
 from .outcomes import Finding, Findings, Outcome
 from .spread import variances
 

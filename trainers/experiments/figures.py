@@ -10,9 +10,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..curves import Curve
-from ..plots import CONTROLLER_COLOUR, RESIDUAL_COLOUR
-from ..statistics import mean_interval
+from ..evaluation.statistics import mean_interval
+from ..report.curves import Curve
+from ..report.learning_curve import CONTROLLER_COLOUR, RESIDUAL_COLOUR
 from .outcomes import Finding, Outcome
 from .spec import Experiment
 from .spread import variances

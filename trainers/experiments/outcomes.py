@@ -9,11 +9,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import metrics
-from ..curves import Curve, curve
-from ..runs import Run
+from ..launch.store import Store
+from ..loggers import metrics
+from ..report.curves import Curve, curve
+from ..report.runs import Run
 from .plan import Point
-from .store import Store
 
 Floats = NDArray[np.float64]
 

@@ -12,9 +12,9 @@ from math import ceil
 from pathlib import Path
 from typing import Any
 
-from ..identity import leaves
+from ..launch.store import Store, StoredRun
+from ..storage.same_run import leaves
 from .spec import Experiment, Overrides, Settings
-from .store import Store, StoredRun
 
 Compose = Callable[[Sequence[str]], dict[str, Any]]
 """From overrides of ``rrl train`` to the resolved configuration."""

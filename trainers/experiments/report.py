@@ -8,13 +8,13 @@ from pathlib import Path
 
 import yaml
 
-from ..page import Page
-from ..versions import versions
+from ..launch.pool import Ending, tail
+from ..launch.store import recorded_overrides
+from ..report.page import Page
+from ..storage.versions import versions
 from .claims import Verdict, criterion
 from .outcomes import Finding, Findings
-from .pool import Ending, tail
 from .spec import Experiment, Settings
-from .store import recorded_overrides
 from .tables import final_rows, overall_iqm, success_rows
 
 

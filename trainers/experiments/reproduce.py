@@ -11,17 +11,17 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from ..interruption import Interrupted, Interruption
-from . import launchers
+from ..launch import launchers
+from ..launch.display import Display
+from ..launch.pool import Ending, run_jobs, tail
+from ..launch.store import Store
+from ..training.interruption import Interrupted, Interruption
 from .claims import Verdict, judge
-from .display import Display
 from .figures import draw
 from .outcomes import Findings, gather
 from .plan import Compose, Job, Point, plan_jobs, plan_points
-from .pool import Ending, run_jobs, tail
 from .report import write_report
 from .spec import Experiment, Settings, load_experiments, load_settings
-from .store import Store
 from .video import rescue_video
 
 

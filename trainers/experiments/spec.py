@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from ..checks import PlainName, explain
-from ..config import Positive
+from ..configuration.checks import PlainName, explain
+from ..settings import Positive
 
 Overrides = tuple[str, ...]
 FOLDER = "experiment"

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from rrl.keys import OBSERVATION
 
-from ..checks import entries
+from ..configuration.checks import entries
 from ..environment import Input
-from ..runs import Run
-from ..transition_log import FOLDER, TransitionLog
+from ..report.runs import Run
+from ..storage.transition_log import FOLDER, TransitionLog
 from .outcomes import Outcome
 
 POSITION = "end_effector_position"

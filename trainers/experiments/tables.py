@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..statistics import exact_interval, iqm, iqm_interval, mean_interval
+from ..evaluation.statistics import exact_interval, iqm, iqm_interval, mean_interval
 from .outcomes import Finding, Outcome
 from .spec import Experiment
 

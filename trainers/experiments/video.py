@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from ..runs import Run
-from .launchers import spawn
+from ..launch.launchers import spawn
+from ..report.runs import Run
 from .outcomes import Findings
 
 EPISODES = 25

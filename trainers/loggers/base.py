@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..metrics import Values
+from .metrics import Values
 
 _log = logging.getLogger(__name__)
 

@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
-from ..layout import METRICS
-from ..metrics import STEP_AXIS, Values
+from ..storage.run_files import METRICS
 from .base import MetricsLogger
+from .metrics import STEP_AXIS, Values
 
 
 class CSVLogger(MetricsLogger):

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..metrics import Values
 from .base import MetricsLogger, flatten
+from .metrics import Values
 
 
 class TensorBoardLogger(MetricsLogger):

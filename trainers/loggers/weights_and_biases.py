@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..files import write_atomically
-from ..metrics import STEP_AXIS, Values
-from ..versions import versions
+from ..storage.files import write_atomically
+from ..storage.versions import versions
 from .base import MetricsLogger, Rows, flatten
+from .metrics import STEP_AXIS, Values
 
 _log = logging.getLogger(__name__)
 

@@ -10,7 +10,7 @@ from torchrl.objectives import SACLoss, TD3Loss
 from agents import BATCH, OBSERVATION, batches, critics, make_agent, parameters
 from rrl.algorithms import SAC, TD3
 from rrl.algorithms.ensemble import SUBSET, EnsembleSACLoss, EnsembleTD3Loss, draw_subsets
-from rrl.random import SlotGenerators
+from rrl.slot_random import SlotGenerators
 
 ENSEMBLE = {"num_critics": 5, "target_subset": 2, "layer_norm": True, "last_layer_bound": 0.1}
 

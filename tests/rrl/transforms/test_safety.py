@@ -12,7 +12,7 @@ from torchrl.envs.utils import step_mdp
 
 from rrl.envs import InsertionEnv
 from rrl.transforms import ControlNoise, ForceLimit, ResidualAction, StepLimit, WorkspaceLimit
-from rrl.transforms.limits import limits_of
+from rrl.transforms.action_bounds import limits_of
 from toy_envs import STEP_SIZE, PointMass
 from transform_cases import POSITION, drive, proportional, random_actions
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 from torchrl.envs import SerialEnv, TransformedEnv
 
-from rrl.random import seed_env
+from rrl.slot_random import seed_env
 from toy_envs import PointMass
 from transform_cases import CASES, POSITION, assert_same, drive, make_env, random_actions, staggered
 

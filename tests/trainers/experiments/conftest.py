@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from experiment_project import ENV, ENVIRONMENT, EXPERIMENT, OURS, SETTINGS, TESTS, write
-from rrl.trainers import cli
+from rrl.trainers.cli import main as cli
 from rrl.trainers.experiments.reproduce import reproduce
 from rrl.trainers.experiments.spec import load_experiments
 

@@ -12,12 +12,12 @@ from rrl.trainers.experiments.claims import CLAIMS, criterion, judge
 from rrl.trainers.experiments.figures import draw
 from rrl.trainers.experiments.outcomes import Finding, Outcome
 from rrl.trainers.experiments.plan import Job, Point
-from rrl.trainers.experiments.pool import Ending
 from rrl.trainers.experiments.report import write_report
 from rrl.trainers.experiments.spec import Experiment, Settings
-from rrl.trainers.experiments.store import StoredRun
 from rrl.trainers.experiments.tables import final_rows, success_rows
-from rrl.trainers.runs import Run
+from rrl.trainers.launch.pool import Ending
+from rrl.trainers.launch.store import StoredRun
+from rrl.trainers.report.runs import Run
 
 SEEDS = (0, 1, 2)
 EPISODES = 20

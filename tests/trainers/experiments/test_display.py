@@ -1,6 +1,6 @@
 """What the terminal says of a run under way."""
 
-from rrl.trainers.experiments.display import latest
+from rrl.trainers.launch.display import latest
 from rrl.trainers.loggers import CSVLogger
 
 

@@ -6,11 +6,13 @@ import pytest
 import yaml
 
 from experiment_project import EXPERIMENT, OURS, SETTINGS, write
-from rrl.trainers import assembly, checks, cli
+from rrl.trainers.cli import main as cli
+from rrl.trainers.configuration import build as assembly
+from rrl.trainers.configuration import checks
 from rrl.trainers.experiments.plan import plan_jobs, plan_points, quoted
 from rrl.trainers.experiments.spec import Settings, load_experiments, load_settings
-from rrl.trainers.experiments.store import Store
-from rrl.trainers.summary import write_results
+from rrl.trainers.launch.store import Store
+from rrl.trainers.report.summary import write_results
 
 NAMES = [path.stem for path in sorted((OURS / "experiment").glob("*.yaml"))]
 

@@ -15,14 +15,14 @@ import pytest
 from rich.console import Console
 
 from experiment_project import EXPERIMENT, SETTINGS, write
-from rrl.trainers import cli
-from rrl.trainers.experiments import pool
-from rrl.trainers.experiments.display import Display
+from rrl.trainers.cli import main as cli
 from rrl.trainers.experiments.plan import Job
 from rrl.trainers.experiments.reproduce import reproduce
-from rrl.trainers.experiments.store import StoredRun
-from rrl.trainers.interruption import Interrupted
+from rrl.trainers.launch import pool
+from rrl.trainers.launch.display import Display
+from rrl.trainers.launch.store import StoredRun
 from rrl.trainers.loggers import read_metrics
+from rrl.trainers.training.interruption import Interrupted
 
 
 def results(project):

@@ -7,8 +7,8 @@ import yaml
 from tensordict import TensorDict
 
 from rrl.trainers.experiments.spread import spatial_variance
-from rrl.trainers.runs import Run
-from rrl.trainers.transition_log import TransitionLog
+from rrl.trainers.report.runs import Run
+from rrl.trainers.storage.transition_log import TransitionLog
 
 LOC, SCALE = [0.6, 0.0, 0.1], [40.0, 20.0, 10.0]
 

@@ -1,0 +1,1 @@
+"""The block-insertion task of the paper: composer task, batched environment, rendering."""

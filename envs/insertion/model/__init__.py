@@ -1,0 +1,1 @@
+"""The MJCF model: arm, gripper, blocks, table, actuators, sensors."""

@@ -1,0 +1,1 @@
+"""Resets, control and rollouts of many environments in C."""

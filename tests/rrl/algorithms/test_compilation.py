@@ -1,0 +1,79 @@
+"""Compiled updates; where nothing can be compiled a learner says so once and learns all the same."""
+
+import subprocess
+import sys
+
+import pytest
+import torch
+from torch._inductor import config
+
+from agents import batches, make_agent, parameters
+from rrl.algorithms.compilation import CompiledUpdate, being_traced, compiler_problem
+
+
+def test_without_a_compiler_the_update_runs_as_it_is():
+    said = pytest.warns(UserWarning, match="no C\\+\\+ compiler .* install g\\+\\+, or set compiled=false")
+    with config.patch("cpp.cxx", ("/nowhere/g++",)), said as warnings:
+        assert compiler_problem() is not None
+        compiled = make_agent(compiled=True)
+    assert len(warnings) == 1
+    eager = make_agent()
+    for agent in (compiled, eager):
+        agent.update(batches(4, 1))
+    for name, value in parameters(eager).items():
+        assert torch.equal(parameters(compiled)[name], value)
+
+
+def test_with_a_compiler_there_is_no_problem():
+    assert compiler_problem() is None
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_the_compiler_can_be_imported_ahead(there):
+    """In a process of its own: importing us does not import it, importing it ahead does, if it is there; no warning."""
+    script = f"""
+import sys, warnings
+import rrl.algorithms.compilation
+from torch._inductor import config
+assert "torch._inductor.compile_fx" not in sys.modules
+warnings.simplefilter("error")
+with config.patch("cpp.cxx", config.cpp.cxx if {there} else ("/nowhere/g++",)):
+    rrl.algorithms.compilation.import_compiler()
+assert ("torch._inductor.compile_fx" in sys.modules) == {there}
+"""
+    subprocess.run([sys.executable, "-W", "ignore", "-c", script], check=True)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")  # the compiler warns of its own doings
+def test_a_compiled_update_changes_the_tensors_that_its_update_holds_on_to(caplog):
+    module, traced = torch.nn.Module(), []
+    module.weight = torch.nn.Parameter(torch.ones(3))
+    module.register_buffer("total", torch.zeros(3))
+    module.register_buffer("count", torch.zeros(()))
+
+    def update(x):
+        traced.append(being_traced())
+        (slope,) = torch.autograd.grad((module.weight * x).sum(), [module.weight])
+        with torch.no_grad():
+            module.weight.data.sub_(slope)  # another tensor with the parameter's memory
+            module.total.add_(module.weight)
+            module.count.add_(1)
+        return {"slope": slope, "sum": module.total.sum()}
+
+    compiled = CompiledUpdate(update, module)
+    assert compiled.compile_seconds == 0
+    with caplog.at_level("INFO", "rrl.algorithms.compilation"):
+        first = compiled(torch.full((3,), 2.0))
+    assert "compiling the update" in caplog.text
+    assert compiled.compile_seconds > 0
+    assert (first["slope"] == 2).all()
+    assert (module.weight == -1).all()
+    assert (module.total == -1).all()
+    with torch.no_grad():
+        module.weight.fill_(5.0)  # as a checkpoint does
+    second = compiled(torch.ones(3))
+    assert (module.weight == 4).all()
+    assert second["sum"] == 9
+    assert module.count == 2
+    assert traced == [True]  # Python ran once

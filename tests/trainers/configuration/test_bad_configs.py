@@ -1,0 +1,191 @@
+"""Broken configurations: each gives one message that says where, what was expected and what came."""
+
+import pytest
+from hydra import compose, initialize_config_module
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from rrl.envs import InsertionEnv
+from rrl.trainers.cli import main as cli
+from rrl.trainers.configuration import build as assembly
+
+AGENT, BASE = "algorithm.agent", "env.base"
+
+# what is set on the command line -> what the message has to contain
+BROKEN = {
+    # unknown keys
+    "trainer.sede=3": ["trainer.sede"],
+    "+trainer.sede=3": ["trainer.sede: unknown key", "3"],
+    "+trainer.evaluation.evry=3": ["trainer.evaluation.evry: unknown key"],
+    "+trainer.device=cuda": ["trainer.device: unknown key", "cuda"],
+    "+render.colour=red": ["render.colour: unknown key", "red"],
+    "+env.inptus.goal={}": ["env.inptus: unknown key"],
+    "+speed=fast": ["speed: unknown key", "fast"],
+    "+algorithm.agent.learning_rate=0.1": [AGENT, "does not take 'learning_rate'", "actor_lr"],
+    "+algorithm.exploration.thetta=0.1": ["algorithm.exploration", "does not take 'thetta'", "theta"],
+    "+controller.gian=0.1": ["controller", "does not take 'gian'", "gain"],
+    "+env.base.clearence=0.1": [BASE, "'clearence'", "clearance"],
+    "+env.inputs.goal.mean=0.1": ["env.inputs.goal", "expected loc and scale", "mean"],
+    "+env.symmetry={}": ["env.symmetry: unknown key"],
+    # unknown choices
+    "env=insertion-mars": ["insertion-mars"],
+    "algorithm=ppo": ["ppo"],
+    "disturbance=wind": ["wind"],
+    "env.base.variant=mars": [BASE, "unknown variant 'mars'", "real", "sim"],
+    "env.batching=threads": ["env.batching", "native", "serial", "threads"],
+    "trainer.matmul_precision=low": ["trainer.matmul_precision", "highest", "low"],
+    "algorithm.agent.loss_function=l3": [AGENT, "l3"],
+    "render.format=avi": ["render.format", "mp4", "avi"],
+    "render.scenario=upside_down": ["render.scenario", "misaligned", "upside_down"],
+    "render.episode=best": ["render.episode", "rescue", "best"],
+    # wrong types
+    "env.action_history=long": ["env.action_history", "integer", "long"],
+    "trainer.num_seeds=two": ["trainer.num_seeds", "integer", "two"],
+    "trainer.num_seeds=1.5": ["trainer.num_seeds", "integer", "1.5"],
+    "trainer.num_seeds=null": ["trainer.num_seeds", "integer", "None"],
+    "trainer.updates_per_step=often": ["trainer.updates_per_step", "number", "often"],
+    "trainer.warmup_exploration=maybe": ["trainer.warmup_exploration", "boolean", "maybe"],
+    "trainer.evaluation=500": ["trainer.evaluation", "500"],
+    "trainer.checkpoint.keep=all": ["trainer.checkpoint.keep", "integer", "all"],
+    "residual_scale=large": ["residual_scale", "number", "large"],
+    "env.max_episode_steps=long": ["env.max_episode_steps", "integer", "long"],
+    "env.base.yaw_choices=[left]": [BASE, "yaw_choices", "left"],
+    "+env.base.clearance=wide": [BASE, "clearance", "wide"],
+    "algorithm.agent.hidden=big": [AGENT, "hidden", "widths"],
+    "algorithm.agent.hidden=[64,wide]": [AGENT, "wide"],
+    "controller._target_=null": ["controller", "_target_", "None"],
+    "env.inputs=[goal]": ["env.inputs=[goal]", "DictConfig"],
+    # out of range
+    "env.action_history=0": ["env.action_history", "greater than 0", "0"],
+    "trainer.num_seeds=0": ["trainer.num_seeds", "greater than 0", "0"],
+    "trainer.num_seeds=-1": ["trainer.num_seeds", "greater than 0", "-1"],
+    "trainer.seed=-1": ["trainer.seed", "-1"],
+    "trainer.seed=99999999999": ["trainer.seed", "2147483648", "99999999999"],
+    "trainer.total_steps=-50": ["trainer.total_steps", "-50"],
+    "trainer.batch_size=0": ["trainer.batch_size", "greater than 0"],
+    "trainer.threads=0": ["trainer.threads", "greater than 0"],
+    "trainer.updates_per_step=nan": ["trainer.updates_per_step", "nan"],
+    "trainer.updates_per_step=inf": ["trainer.updates_per_step", "inf"],
+    "trainer.buffer_capacity=1000000000": ["trainer.buffer_capacity", "16777216", "1000000000"],
+    "trainer.evaluation.episodes=0": ["trainer.evaluation.episodes", "greater than 0"],
+    "trainer.checkpoint.keep=0": ["trainer.checkpoint.keep", "greater than 0"],
+    "residual_scale=-1": ["residual_scale", "-1"],
+    "algorithm.agent.gamma=1.5": [AGENT, "gamma", "1.5"],
+    "algorithm.agent.tau=0": [AGENT, "tau", "0"],
+    "algorithm.agent.policy_delay=0": [AGENT, "policy_delay", "0"],
+    "algorithm.agent.actor_lr=-0.001": [AGENT, "-0.001"],
+    "algorithm.agent.hidden=[0]": [AGENT, "0"],
+    "algorithm.exploration.sigma=-0.1": ["algorithm.exploration", "sigma", "-0.1"],
+    "controller.gain=nan": ["controller", "gain", "nan"],
+    "controller.gain=much": ["controller", "gain", "much"],
+    "controller.unit=0": ["controller", "unit"],
+    "env.base.num_threads=0": [BASE, "num_threads", "0"],
+    "+env.base.platform_friction=-1": [BASE, "platform_friction", "-1"],
+    "env.sensing.camera_noise.sigma=-0.001": ["env.sensing.camera_noise", "sigma", "-0.001"],
+    "env.sensing.camera_latency.steps=-1": ["env.sensing.camera_latency", "-1"],
+    "render.width=0": ["render.width", "greater than 0"],
+    "render.fps=0": ["render.fps", "greater than 0"],
+    "render.seed=1": ["render.seed", "trainer.num_seeds (1)", "1"],
+    # contradictions
+    "env.symmetries.front_back.goal=[1,2]": ["env.symmetries.front_back.goal", "3 numbers", "[1, 2]"],
+    "env.symmetries.front_back.goal=[1,2,2]": ["env.symmetries", "each of the numbers 1 to 3 once"],
+    "~env.symmetries.front_back.goal": ["env.symmetries.front_back", "a map of 'goal'"],
+    "env.symmetries.front_back.end_effector_position=[1,3,2]": ["end_effector_position: expected equal scales"],
+    "trainer.total_steps=300": ["warmup_steps (300)", "total_steps (300)"],
+    "trainer.steps_per_collection=30": ["total_steps (10000)", "steps_per_collection", "30"],
+    "trainer.updates_per_step=0.333": ["updates_per_step (0.333)", "whole number"],
+    "trainer.buffer_capacity=100": ["buffer_capacity (100)", "batch (128)"],
+    "trainer.evaluation.every=75": ["evaluation.every (75)", "50"],
+    "trainer.checkpoint.every=120": ["checkpoint.every (120)", "50"],
+    "+env.base.yaw_range=0.1": [BASE, "yaw_range", "yaw_choices"],
+    "env.scenarios.aligned.yaw_choices=[90.0]": ["env.scenarios.aligned", "yaw"],
+    "+env.base.start_height=0.001": [BASE, "start_height"],
+    "+env.inputs.wrench={}": ["env.inputs", "does not have 'wrench'", "force_z"],
+    "env.inputs.goal.scale=[1.0,2.0]": ["env.inputs.goal", "3 numbers", "2"],
+    "env.inputs.goal.loc=[a,b,c]": ["env.inputs.goal.loc"],
+    "controller.position_key=tool": ["controller", "reads 'tool'", "end_effector_position"],
+    # empty, missing, not there
+    "env.scenarios=null": ["env.scenarios", "None"],
+    "env.inputs=null": ["env.inputs", "None"],
+    "~env.inputs": ["env.inputs: expected a value"],
+    "~env.base._target_": [BASE, "expected _target_"],
+    "env.base._target_=nowhere.Env": [BASE, "'nowhere.Env' cannot be imported"],
+    "controller._target_=rrl.controllers.Nothing": ["controller", "rrl.controllers.Nothing"],
+    "controller._target_=rrl.controllers.PolicyController": ["controller", "does not take 'gain'"],
+    "algorithm.agent._target_=3": [AGENT, "_target_", "3"],
+    # paths
+    "name=../../escaped": ["name", "../../escaped"],
+    "name=/etc/rrl": ["name", "/etc/rrl"],
+    "name=''": ["name", "''"],
+}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def hydra():
+    with initialize_config_module("rrl.configs", version_base="1.3"):
+        yield
+
+
+@pytest.fixture(autouse=True)
+def no_environment(monkeypatch):
+    def refuse(*args, **kwargs):
+        raise AssertionError("an environment was built before the configuration was checked")
+
+    monkeypatch.setattr(InsertionEnv, "__init__", refuse)
+
+
+def message_of(override):
+    """What ``rrl train`` says of a configuration; empty if it finds nothing wrong."""
+    try:
+        config = OmegaConf.to_container(compose("train", overrides=[override]), resolve=True, throw_on_missing=True)
+        assembly.check(config)
+    except (HydraException, OmegaConfBaseException, ValueError) as error:
+        return cli._message(error)
+    return ""
+
+
+@pytest.mark.parametrize("override", BROKEN)
+def test_a_broken_config_is_explained(override):
+    message = message_of(override)
+    assert message, "nothing was found"
+    for fragment in BROKEN[override]:
+        assert fragment in message, message
+    assert "Traceback" not in message
+
+
+def test_there_are_many():
+    assert len(BROKEN) >= 50
+
+
+def test_all_problems_come_at_once():
+    config = OmegaConf.to_container(compose("train"), resolve=True)
+    config["trainer"]["num_seeds"] = 0
+    config["render"]["fps"] = "slow"
+    with pytest.raises(ValueError) as caught:
+        assembly.check(config)
+    assert [line.partition(":")[0] for line in str(caught.value).splitlines()] == ["trainer.num_seeds", "render.fps"]
+
+
+def test_the_shipped_configuration_is_fine():
+    assert message_of("trainer.seed=0") == ""
+
+
+@pytest.mark.parametrize("name", ["../up", "/etc", "a/b", "..", ".hidden", "", "a b"])
+def test_a_name_stays_in_its_folder(name):
+    with pytest.raises(ValueError, match="name: expected letters"):
+        cli.plain_name(name)
+
+
+def test_a_scenario_names_no_file_elsewhere():
+    config = OmegaConf.to_container(compose("train"), resolve=True)
+    config["env"]["scenarios"]["../up"] = {}
+    with pytest.raises(ValueError, match=r"env.scenarios.../up"):
+        assembly.check(config)
+
+
+def test_an_escaping_run_has_no_directory():
+    OmegaConf.register_new_resolver("plain", cli.plain_name, replace=True)
+    config = compose("train", overrides=["name=../../escaped"], return_hydra_config=True)
+    with pytest.raises(OmegaConfBaseException, match="escaped"):
+        _ = config.hydra.run.dir

@@ -1,0 +1,78 @@
+"""Every switch for sample efficiency is a key of the configuration, and turning it changes what is learned."""
+
+import pytest
+import torch
+from hydra import compose, initialize_config_module
+from omegaconf import OmegaConf
+
+from rrl.trainers.configuration import build as assembly
+
+OF_ALL = [
+    "trainer.updates_per_step=2.0",
+    "trainer.n_step=3",
+    "trainer.warmup_exploration=false",
+    "trainer.residual_ramp_steps=80",
+    "algorithm.agent.layer_norm=true",
+    "algorithm.agent.critic_burn_in=20",
+    "+env.inputs.base_action={}",
+    "+env.inputs.previous_action={}",
+]
+OF_TD3 = [
+    "algorithm.agent.target_subset=1",
+    "algorithm.agent.num_critics=3",
+    "algorithm.agent.residual_penalty=1.0",
+    "algorithm.exploration.sigma_end=0.0",
+    "algorithm.exploration._target_=rrl.exploration.OrnsteinUhlenbeckExploration",
+]
+SMALL = {
+    "total_steps": 60,
+    "warmup_steps": 20,
+    "steps_per_collection": 20,
+    "batch_size": 16,
+    "evaluation": {"every": 0, "episodes": 1, "final_episodes": 1, "seed": 0, "slots": 1},
+}
+
+
+def learned(run_dir, *overrides):
+    """The policy's weights after a short training on the drifting point."""
+    with initialize_config_module("rrl.configs", version_base="1.3"):
+        config = compose(
+            "train", overrides=["logger=csv", "env=insertion-sim", "algorithm.agent.hidden=[16]", *overrides]
+        )
+    config = OmegaConf.to_container(config, resolve=True)
+    inputs = config["env"]["inputs"]
+    own = {key: inputs[key] for key in ("base_action", "previous_action") if key in inputs}
+    config["env"] |= {
+        "base": {"_target_": "toy_envs.PointMass"},
+        "batching": "serial",
+        "inputs": {"end_effector_position": {}, "goal": {}, **own},
+        "scenarios": {"drift": {}},
+        "sensing": None,
+    }
+    config["residual_scale"] = 1.0
+    config["trainer"] |= SMALL
+    with assembly.trainer(config, run_dir) as trainer:
+        trainer.run()
+        return dict(trainer.agent.policy_of(0).named_parameters())
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """What each algorithm learns without any switch."""
+    return {name: learned(tmp_path_factory.mktemp(name), f"algorithm={name}") for name in ("td3", "sac")}
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "switch"), [("td3", s) for s in (*OF_ALL, *OF_TD3)] + [("sac", s) for s in OF_ALL]
+)
+def test_a_switch_changes_what_is_learned(algorithm, switch, plain, tmp_path):
+    weights = learned(tmp_path, f"algorithm={algorithm}", switch)
+    before = plain[algorithm]
+    assert any(v.shape != before[k].shape or not torch.equal(v, before[k]) for k, v in weights.items())
+
+
+def test_switches_at_their_defaults_change_nothing(plain, tmp_path):
+    off = ["algorithm.agent.num_critics=2", "algorithm.agent.target_subset=2", "algorithm.agent.residual_penalty=0.0"]
+    off += ["algorithm.exploration.sigma_end=null", "trainer.n_step=1", "trainer.residual_ramp_steps=0"]
+    weights = learned(tmp_path, "algorithm=td3", *off)
+    assert all(torch.equal(weights[name], value) for name, value in plain["td3"].items())

@@ -1,0 +1,68 @@
+"""The video shows the frozen episode that the evaluation counted."""
+
+from functools import partial
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+from imageio_ffmpeg import count_frames_and_secs
+
+from rrl.controllers import ProportionalController
+from rrl.envs import InsertionEnv, RenderingUnavailable, render_states
+from rrl.trainers.environment import EnvironmentFactory, Input
+from rrl.trainers.evaluation.episodes import Comparison, Episodes, run_episodes, zero_residual
+from rrl.trainers.evaluation.video import choose_episode, record, render_comparison
+
+SIZE = {"width": 64, "height": 48, "fps": 20}
+
+
+@pytest.fixture
+def environment():
+    return EnvironmentFactory(
+        base=partial(InsertionEnv, variant="real", episode_length=4),
+        controller=partial(ProportionalController, gain=0.5, clip=0.5, unit=0.02),
+        inputs={"goal": Input()},
+        max_episode_steps=50,
+    )
+
+
+def episodes(success):
+    success = np.array(success)
+    n = len(success)
+    return Episodes(np.zeros(n), np.ones(n, dtype=int), success, np.zeros(n, dtype=bool))
+
+
+def test_the_first_rescue_is_chosen():
+    comparison = Comparison(episodes([True, True, True]), episodes([True, False, False]))
+    assert choose_episode(comparison, "rescue") == 1
+    assert choose_episode(comparison, 2) == 2
+    with pytest.raises(ValueError, match="number below 3, got 3"):
+        choose_episode(comparison, 3)
+
+
+def test_the_recorded_episode_is_the_evaluated_one(environment):
+    env = environment.make(1)
+    states, solved = record(env, zero_residual(env), seed=7, max_steps=50)
+    assert len(states) == len(solved) == 5
+    batch = environment.make(3)
+    result = run_episodes(batch, zero_residual(batch), 3, seed=5, max_steps=50)
+    assert result.lengths[2] == 4
+    assert (batch.base_env.physics_state()[2] == states[-1][0]).all()
+
+
+@pytest.mark.parametrize("ending", ["mp4", "gif"])
+def test_both_halves_are_filmed(environment, ending, tmp_path):
+    env = environment.make(1)
+    try:
+        out = render_comparison(environment, zero_residual(env), render_states, 5, tmp_path / f"episode.{ending}", SIZE)
+    except RenderingUnavailable as error:
+        pytest.skip(str(error))
+    if ending == "gif":
+        assert iio.imread(out).shape[1:] == (48, 128, 3)
+    else:
+        frames, seconds = count_frames_and_secs(out)
+        assert frames == 5 + SIZE["fps"]  # the episode, and its last frame for a second
+        assert seconds == pytest.approx(frames / SIZE["fps"])
+    picture = iio.imread(out.with_suffix(".png"))
+    assert picture.shape == (48, 128, 3)
+    assert picture[10:].std() > 10  # not black

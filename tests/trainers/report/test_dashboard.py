@@ -1,0 +1,78 @@
+"""The W&B dashboard, built and read back without a network, and held against what a run logs."""
+
+import re
+import sys
+
+import numpy as np
+import pytest
+
+from rrl.trainers.cli.main import main
+from rrl.trainers.evaluation.episodes import Comparison, Episodes
+from rrl.trainers.report import dashboard
+from rrl.trainers.report.panels import CONTACT
+
+# the library defines its models in the style of Pydantic 1
+pytestmark = pytest.mark.filterwarnings("ignore::pydantic.warnings.PydanticDeprecatedSince20")
+
+ONE = np.ones(1)
+PEAKS = {"contact_force": ONE, "tilt": ONE}
+EPISODES = Episodes(ONE, ONE.astype(int), ONE.astype(bool), ONE.astype(bool), PEAKS)
+LOGGED = [
+    *(f"eval/misaligned/{name}" for name in Comparison(EPISODES, EPISODES).summary()),
+    *("action/residual_share", "action/residual_rms", "action/clip_fraction"),
+    *("train/reward", "train/reward_terms/tilt", "loss/loss_critic", "safety/force", "time/update"),
+]
+
+
+@pytest.fixture
+def view():
+    """What would be sent to the server."""
+    return dashboard.build("somebody", "rrl")._to_model().model_dump(by_alias=True, exclude_none=True)
+
+
+def sections(view):
+    return {s["name"]: s["panels"] for s in view["spec"]["section"]["panelBankConfig"]["sections"]}
+
+
+def test_every_group_of_metrics_has_its_section(view):
+    found = sections(view)
+    assert (view["entity"], view["project"]) == ("somebody", "rrl")
+    for name in ("Learning", "Rescues and regressions", "Controller and residual", "Contact", "Training"):
+        assert all(panel["viewType"] == "Run History Line Plot" for panel in found[name])
+    media, *tables = found["Final evaluation"]
+    assert media["config"]["mediaKeys"] == ["media/video", "media/learning_curve"]
+    assert [str(table).count("results/success") for table in tables] == [1, 0]
+    assert [panel["viewType"] for panel in found["Configuration"]] == ["Run Comparer"]
+
+
+def test_runs_are_grouped_and_drawn_over_environment_steps(view):
+    section = view["spec"]["section"]
+    (runs,) = section["runSets"]
+    assert [entry["name"] for entry in runs["grouping"]] == ["group", "jobType"]
+    assert section["settings"]["xAxis"] == "env_steps"
+    lines = [p["config"] for panels in sections(view).values() for p in panels if "Line" in p["viewType"]]
+    assert {line["xAxis"] for line in lines} == {"env_steps"}
+
+
+def test_every_line_panel_finds_what_a_run_logs_and_no_seed(view):
+    for panels in sections(view).values():
+        for panel in panels:
+            if pattern := panel["config"].get("metricRegex"):
+                assert [name for name in LOGGED if re.search(pattern, name)], pattern
+                assert not [name for name in LOGGED if re.search(pattern, f"seed_0/{name}")], pattern
+
+
+def test_a_panel_shows_the_controller_beside_the_residual():
+    pattern = dashboard.line_plot(CONTACT[0])["metric_regex"]
+    found = [name for name in LOGGED if re.search(pattern, name)]
+    assert found == ["eval/misaligned/peak_contact_force", "eval/misaligned/controller_peak_contact_force"]
+
+
+def test_what_is_missing_is_said(monkeypatch, capsys):
+    assert main(["dashboard", "project=rrl"]) == 2
+    assert "expected your W&B user or team" in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, "wandb_workspaces", None)
+    monkeypatch.setitem(sys.modules, "wandb_workspaces.workspaces", None)
+    monkeypatch.setitem(sys.modules, "wandb_workspaces.reports.v2", None)
+    assert main(["dashboard", "entity=somebody"]) == 2
+    assert "pip install 'rrl[dashboard]'" in capsys.readouterr().err

@@ -1,0 +1,112 @@
+"""An earlier run as the start of another one: initial weights, a controller, a recorded sequence."""
+
+import json
+
+import pytest
+import torch
+import yaml
+from hydra import compose, initialize_config_module
+from omegaconf import OmegaConf
+
+from rrl.trainers.configuration import build as assembly
+from rrl.trainers.configuration import checks
+from rrl.trainers.pretrained import chosen, policy_controller, replay_controller, start_from, trained_agent
+from rrl.trainers.report.summary import write_results
+
+SMALL = [
+    "algorithm=td3",
+    "algorithm.agent.hidden=[16,16]",
+    "logger=[csv]",
+    "render.enabled=false",
+    "trainer.total_steps=100",
+    "trainer.warmup_steps=50",
+    "trainer.batch_size=16",
+    "trainer.evaluation={every: 0, episodes: 2, final_episodes: 2, slots: 2}",
+    "trainer.checkpoint.every=0",
+]
+
+
+def resolve(*overrides):
+    with initialize_config_module("rrl.configs", version_base="1.3"):
+        return OmegaConf.to_container(compose("train", overrides=[*SMALL, *overrides]), resolve=True)
+
+
+def train(run_dir, *overrides):
+    config = resolve(*overrides)
+    with assembly.trainer(config, run_dir) as trainer:
+        results = trainer.run()
+    write_results(results, trainer.settings.seeds, run_dir)
+    (run_dir / "config.yaml").write_text(yaml.safe_dump(config))
+    return run_dir
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory):
+    """Two seeds without a controller."""
+    return train(tmp_path_factory.mktemp("alone"), "arm=rl", "env=insertion-sim", "trainer.num_seeds=2")
+
+
+@pytest.fixture
+def observed(alone):
+    env = assembly.environment(yaml.safe_load((alone / "config.yaml").read_text())).make(3)
+    yield env, env.reset()
+    env.close()
+
+
+def test_initial_weights_are_those_of_the_best_seed(alone, observed, tmp_path):
+    config = resolve("arm=rl", "env=insertion-sim", f"init_from.run='{alone}'", "trainer.num_seeds=3")
+    assert not checks.problems(config)
+    results = json.loads((alone / "results.json").read_text())
+    scenario = next(iter(results.values()))
+    best = max((0, 1), key=lambda s: (scenario[str(s)]["success"], scenario[str(s)]["return"]))
+    source, _ = trained_agent(yaml.safe_load((alone / "config.yaml").read_text()), alone)
+    with assembly.trainer(config, tmp_path) as trainer:
+        start_from(trainer.agent, config)
+        for k in range(3):
+            td = observed[1].select("observation")
+            assert torch.equal(trainer.agent.policy_of(k)(td.clone())["action"], source.policy_of(best)(td)["action"])
+
+
+def test_as_a_controller_it_acts_as_it_did(alone, observed):
+    config = yaml.safe_load((alone / "config.yaml").read_text())
+    source, _ = trained_agent(config, alone)
+    expected = source.policy_of(1)(observed[1].clone())["action"]
+    given = policy_controller(str(alone), seed=1)(observed[1].clone())["base_action"]
+    torch.testing.assert_close(given, expected, atol=1e-5, rtol=1e-5)
+
+
+def test_the_recorded_sequence_repeats_the_episode_in_its_own_environment(alone):
+    config = resolve("env=insertion-sim", "controller=replay", f"controller.run='{alone}'", "arm=controller")
+    assert not checks.problems(config)
+    actions = replay_controller(str(alone), seed=None).actions
+    assert actions.shape == (50, 3)
+    env = assembly.environment(config).make(1)
+    td = env.rollout(50, lambda td: td.set("action", torch.zeros(1, 3)))
+    torch.testing.assert_close(td["base_action"][0], actions)
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["init_from.run=nowhere"], "init_from.run: expected the directory of a training run, got 'nowhere'"),
+        (["controller=policy"], "run: expected the directory of a training run, got None"),
+        (["init_from.seed=-1"], "init_from.seed"),
+    ],
+)
+def test_a_run_that_is_not_there_is_named(overrides, message):
+    assert any(message in problem for problem in checks.problems(resolve(*overrides)))
+
+
+def test_a_policy_that_does_not_fit_is_refused(alone, tmp_path):
+    config = resolve("env=insertion-real", f"init_from.run='{alone}'")
+    with assembly.trainer(config, tmp_path) as trainer, pytest.raises(ValueError, match="give both runs the same env"):
+        start_from(trainer.agent, config)
+    with pytest.raises(ValueError, match=r"expected one of the run's seeds \[0, 1\], got 5"):
+        chosen(yaml.safe_load((alone / "config.yaml").read_text()), alone, 5)
+
+
+def test_a_residual_is_no_controller(tmp_path):
+    run = train(tmp_path / "run", "env=insertion-sim")
+    with pytest.raises(ValueError, match=r"expected a policy that acts alone \(arm=rl\)"):
+        policy_controller(str(run))

@@ -1,0 +1,70 @@
+"""What the machine lacks is said, and the run goes on."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+import torch
+
+from rrl.trainers.training.torch_setup import configure_process
+
+
+@pytest.fixture(autouse=True)
+def _restore():
+    before = torch.get_float32_matmul_precision()
+    yield
+    torch.set_float32_matmul_precision(before)
+
+
+def test_bfloat16_products_without_amx_are_named(monkeypatch, settings):
+    monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda: False)
+    with pytest.warns(UserWarning, match="trainer.matmul_precision=medium: this processor has no AMX"):
+        configure_process(settings(matmul_precision="medium"))
+    assert torch.get_float32_matmul_precision() == "highest"
+
+
+def test_nothing_is_said_where_nothing_is_lacking(monkeypatch, settings, recwarn):
+    configure_process(settings())
+    monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda: True)
+    configure_process(settings(matmul_precision="medium"))
+    assert torch.get_float32_matmul_precision() == "medium"
+    assert not recwarn.list
+
+
+@pytest.mark.parametrize(
+    ("variable", "changes", "expected"),
+    [
+        ("8", {}, 2),
+        ("1", {}, 1),
+        ("8", {"overlap": True}, 1),
+        ("1", {"threads": 3}, 3),
+        ("8", {"overlap": True, "threads": 2}, 2),
+    ],
+)
+def test_threads_are_two_at_most_unless_told(monkeypatch, settings, variable, changes, expected):
+    monkeypatch.setenv("OMP_NUM_THREADS", variable)
+    configure_process(settings(**changes))
+    assert torch.get_num_threads() == expected
+
+
+@pytest.mark.slow
+def test_a_run_with_two_threads_can_be_made_again(tmp_path):
+    """The same configuration twice, each in a process of its own: the same transitions to the last bit."""
+    logs = []
+    for name in ("first", "second"):
+        arguments = ["trainer.num_seeds=3", "trainer.total_steps=450", "trainer.threads=2", "logger=[csv]"]
+        small = ["trainer.evaluation.every=0", "trainer.evaluation.final_episodes=2", "render.enabled=false"]
+        command = [
+            sys.executable,
+            "-m",
+            "rrl.trainers",
+            "train",
+            *arguments,
+            *small,
+            f"hydra.run.dir={tmp_path / name}",
+        ]
+        subprocess.run(command, check=True, capture_output=True, env={**os.environ, "OMP_NUM_THREADS": "2"})
+        logs.append(b"".join(path.read_bytes() for path in sorted((tmp_path / name / "transitions").glob("*.bin"))))
+    assert logs[0]
+    assert logs[0] == logs[1]

@@ -1,0 +1,1 @@
+"""The commands of ``rrl``; the only place that knows Hydra."""

@@ -1,0 +1,1 @@
+"""Frozen episodes, paired with the controller alone."""

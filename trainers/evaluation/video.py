@@ -1,0 +1,134 @@
+"""A video of controller and residual on the same frozen episode, side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import imageio.v3 as iio
+import numpy as np
+import torch
+from matplotlib.font_manager import findfont
+from PIL import Image, ImageDraw, ImageFont
+from tensordict.nn import TensorDictModuleBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+
+from rrl.keys import SUCCESS
+from rrl.slot_random import seed_env
+
+from ..environment import EnvironmentFactory
+from .episodes import Comparison, zero_residual
+
+Renderer = Callable[..., np.ndarray]
+"""``renderer(base_env, states, width=..., height=...)`` gives frames ``[T, height, width, 3]``, uint8."""
+
+PASS, FAIL = (46, 125, 50), (183, 28, 28)
+HOLD_SECONDS = 1.0
+"""How long the last frame stays."""
+
+
+def choose_episode(comparison: Comparison, wanted: str | int) -> int:
+    """The number of the episode to show.
+
+    Args:
+        comparison: the episodes to choose from.
+        wanted: ``"rescue"``, the first one that the controller fails and the residual solves (episode 0 if there is
+            none), or a number.
+
+    Raises:
+        ValueError: anything else.
+    """
+    if wanted == "rescue":
+        return int(comparison.rescues[0]) if len(comparison.rescues) else 0
+    count = len(comparison.residual.returns)
+    if not isinstance(wanted, int) or not 0 <= wanted < count:
+        raise ValueError(f"render.episode: expected 'rescue' or a number below {count}, got {wanted!r}")
+    return wanted
+
+
+def render_comparison(
+    environment: EnvironmentFactory,
+    policy: TensorDictModuleBase,
+    renderer: Renderer,
+    seed: int,
+    out: Path,
+    settings: Mapping[str, Any],
+) -> Path:
+    """Run one frozen episode twice, under the controller alone and under the residual, and film both.
+
+    Args:
+        environment: the scenario.
+        policy: the residual policy.
+        renderer: makes the frames from what the bare environment's ``physics_state()`` gave at every step.
+        seed: of the episode.
+        out: the file; its ending decides the format (``.mp4``, ``.gif``). The middle frame is written beside it as PNG.
+        settings: ``width``, ``height`` of each half in pixels, ``fps``.
+
+    Raises:
+        RuntimeError: if this machine cannot render.
+    """
+    halves = []
+    for title, run_policy in (("controller alone", None), ("controller + residual", policy)):
+        env = environment.make(1)
+        states, solved = record(env, run_policy or zero_residual(env), seed, environment.max_episode_steps)
+        size = {"width": settings["width"], "height": settings["height"]}
+        halves.append(_label(renderer(env.base_env, states, **size), title, solved))
+        env.close()
+    frames = _side_by_side(halves)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    hold = np.repeat(frames[-1:], round(HOLD_SECONDS * settings["fps"]), axis=0)
+    iio.imwrite(out, np.concatenate([frames, hold]), **_format(out, settings["fps"]))
+    iio.imwrite(out.with_suffix(".png"), frames[-1])
+    return out
+
+
+@torch.no_grad()
+def record(env: Any, policy: TensorDictModuleBase, seed: int, max_steps: int) -> tuple[list[np.ndarray], list[bool]]:
+    """Run one episode; the physics states ``[T + 1]`` and whether each was a success."""
+    seed_env(env, seed)
+    states, solved = [], []
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        td = env.reset()
+        for _ in range(max_steps):
+            states.append(np.array(env.base_env.physics_state()))
+            solved.append(bool(td.get(SUCCESS, torch.zeros(1)).any()))
+            td = step_mdp(env.step(policy(td)), exclude_done=False)
+            if td["done"].all():
+                break
+    states.append(np.array(env.base_env.physics_state()))
+    solved.append(bool(td.get(SUCCESS, torch.zeros(1)).any()))
+    return states, solved
+
+
+def _label(frames: np.ndarray, title: str, solved: Sequence[bool]) -> np.ndarray:
+    """Write the title into every frame, and the outcome as soon as it stands."""
+    height = frames.shape[1]
+    font = ImageFont.truetype(findfont("DejaVu Sans"), max(12, height // 22))
+    bar = height // 12
+    labelled = []
+    for i, frame in enumerate(frames):
+        image = Image.fromarray(frame)
+        draw = ImageDraw.Draw(image, "RGBA")
+        draw.rectangle((0, 0, image.width, bar), fill=(20, 20, 20, 190))
+        draw.text((bar / 3, bar / 2), title, font=font, fill="white", anchor="lm")
+        ended = i == len(frames) - 1
+        if solved[i] or ended:
+            text, colour = ("inserted", PASS) if solved[i] else ("failed", FAIL)
+            width = draw.textlength(text, font=font) + bar / 1.5
+            draw.rectangle((image.width - width, 0, image.width, bar), fill=colour)
+            draw.text((image.width - width / 2, bar / 2), text, font=font, fill="white", anchor="mm")
+        labelled.append(np.asarray(image))
+    return np.stack(labelled)
+
+
+def _side_by_side(halves: Sequence[np.ndarray]) -> np.ndarray:
+    length = max(map(len, halves))
+    padded = [np.concatenate([h, np.repeat(h[-1:], length - len(h), axis=0)]) for h in halves]
+    return np.concatenate(padded, axis=2)
+
+
+def _format(out: Path, fps: int) -> dict[str, Any]:
+    if out.suffix == ".gif":
+        return {"duration": 1000 / fps, "loop": 0}
+    return {"fps": fps, "codec": "libx264", "macro_block_size": 2, "output_params": ["-crf", "23"]}

@@ -1,0 +1,1 @@
+"""Runs as processes: a local pool or a Ray cluster, resumable, with one display."""

@@ -1,0 +1,171 @@
+"""Where runs are executed: processes on this machine, or tasks of a Ray cluster."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from rrl.threads import cores
+
+POLL_SECONDS = 0.2
+GRACE_SECONDS = 120.0
+"""How long a run that is asked to stop may take to finish its round and save."""
+
+
+class Handle(Protocol):
+    """A run that was started."""
+
+    def poll(self) -> int | None:
+        """The exit status, None while it runs."""
+        ...
+
+    def stop(self) -> None:
+        """Ask it to save and end."""
+        ...
+
+    def kill(self) -> None:
+        """End it at once."""
+        ...
+
+
+class Launcher(Protocol):
+    """Starts ``rrl`` commands."""
+
+    slots: int
+    """How many run at a time."""
+
+    def start(self, arguments: Sequence[str], log: Path) -> Handle:
+        """Start ``rrl`` with these arguments; what it says goes to ``log``."""
+        ...
+
+    def close(self) -> None:
+        """Give back what the launcher holds."""
+        ...
+
+
+def make(name: str, workers: int | None) -> Launcher:
+    """The launcher ``local`` or ``ray``."""
+    return RayLauncher(workers) if name == "ray" else LocalLauncher(workers)
+
+
+class LocalLauncher:
+    """A process for each run, with one thread.
+
+    Args:
+        workers: how many at a time; None: as many as this process has cores.
+    """
+
+    def __init__(self, workers: int | None = None) -> None:
+        self.slots = workers or cores()
+
+    def start(self, arguments: Sequence[str], log: Path) -> Handle:
+        """Start a process; Ctrl-C in the terminal does not reach it, so that it is stopped by us alone."""
+        return _Process(spawn(arguments, log))
+
+    def close(self) -> None:
+        """Nothing to give back."""
+
+
+class RayLauncher:
+    """A Ray task of one core for each run; the cluster's machines share the file system and the installation.
+
+    Connects to the cluster that ``RAY_ADDRESS`` names, or starts one on this machine.
+
+    Args:
+        workers: how many at a time; None: as many as the cluster has cores.
+
+    Raises:
+        ModuleNotFoundError: if Ray is not installed.
+    """
+
+    def __init__(self, workers: int | None = None) -> None:
+        try:
+            import ray
+        except ModuleNotFoundError as error:
+            raise ModuleNotFoundError("launcher=ray needs Ray: pip install 'rrl[ray]'") from error
+        self._ray = ray
+        if not ray.is_initialized():
+            ray.init(log_to_driver=False, include_dashboard=False, configure_logging=False)
+        self.slots = workers or int(ray.cluster_resources().get("CPU", 1))
+        self._task = ray.remote(num_cpus=1, max_retries=0)(_run)
+
+    def start(self, arguments: Sequence[str], log: Path) -> Handle:
+        """Submit a task."""
+        return _Task(self._ray, self._task.remote(list(arguments), str(log), str(Path.cwd()), sys.path))
+
+    def close(self) -> None:
+        """Disconnect; a cluster that was started here ends."""
+        self._ray.shutdown()
+
+
+def spawn(arguments: Sequence[str], log: Path, cwd: str | None = None, path: Sequence[str] = ()) -> subprocess.Popen:
+    """A process that runs ``rrl`` with one thread, and ends when this one does."""
+    variables = {**os.environ, "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+    if path:
+        variables["PYTHONPATH"] = os.pathsep.join(p for p in path if p)
+    command = [sys.executable, "-m", "rrl.trainers.launch.worker", str(os.getpid()), *arguments]
+    with log.open("a", encoding="utf-8") as file:
+        return subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=file,
+            stderr=subprocess.STDOUT,
+            cwd=cwd,
+            env=variables,
+            start_new_session=True,
+        )
+
+
+class _Process:
+    def __init__(self, process: subprocess.Popen) -> None:
+        self._process = process
+
+    def poll(self) -> int | None:
+        return self._process.poll()
+
+    def stop(self) -> None:
+        if self.poll() is None:
+            self._process.send_signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        self._process.kill()
+        self._process.wait()
+
+
+class _Task:
+    def __init__(self, ray: Any, reference: Any) -> None:
+        self._ray, self._reference = ray, reference
+
+    def poll(self) -> int | None:
+        ready, _ = self._ray.wait([self._reference], timeout=0)
+        if not ready:
+            return None
+        try:
+            return int(self._ray.get(self._reference))
+        except self._ray.exceptions.RayError as error:  # a task that was cancelled before it started, or a lost node
+            return 128 + signal.SIGTERM if isinstance(error, self._ray.exceptions.TaskCancelledError) else 1
+
+    def stop(self) -> None:
+        self._ray.cancel(self._reference, recursive=False)
+
+    def kill(self) -> None:
+        self._ray.cancel(self._reference, force=True)
+
+
+def _run(arguments: Sequence[str], log: str, cwd: str, path: Sequence[str]) -> int:
+    """A Ray task: run the command to its end; a cancelled one passes the request on and waits for the checkpoint."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # Ray cancels by it; below nohup it would be ignored
+    process = spawn(arguments, Path(log), cwd, path)
+    try:
+        while process.poll() is None:  # a wait without an end would not see the request
+            time.sleep(POLL_SECONDS)
+        return process.returncode
+    except KeyboardInterrupt:
+        process.send_signal(signal.SIGTERM)
+        return process.wait(GRACE_SECONDS)

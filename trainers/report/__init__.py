@@ -1,0 +1,1 @@
+"""What a run looks like afterwards: tables, curves, one page, a dashboard."""

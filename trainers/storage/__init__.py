@@ -1,0 +1,1 @@
+"""What survives a crash: transitions, checkpoints, the files of a run."""

@@ -1,0 +1,210 @@
+"""Saving a run and taking it up again.
+
+Layout, below the run's directory::
+
+    config.yaml                      the resolved configuration
+    metrics.csv                      every metric so far
+    wandb_id                         identity of the W&B run
+    transitions/                     every transition, appended as it is stored; see :mod:`.transition_log`
+    checkpoints/
+        checkpoint-000000005000/     made under a temporary name, synced to disk, then renamed
+            manifest.json            TorchRL's manifest
+            seal.json                schema version, configuration, position in transitions/, SHA-256 of every file
+            components/
+                agent/               parameters, targets, optimisers, update counter
+                experience/          physics, transforms, controller, exploration, their generators, the observation to
+                                     act on; where collection overlaps, the parameters to act with
+                progress/            counters
+                replay/              position in transitions/
+                rng/                 global generators of Python, NumPy and torch
+                sampler/             generators of replay sampling
+        checkpoint-000000004000.torn/  one whose checksums were wrong; nothing reads it
+
+Loading executes no code: tensors are read as weights only, the rest is JSON and raw memory.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from torchrl.checkpoint import Checkpoint, CheckpointAdapter, GlobalRNGState
+
+from .files import check_seal, lock, read_note, seal, sync
+from .run_files import CHECKPOINTS
+
+log = logging.getLogger(__name__)
+
+Note = dict[str, Any]
+"""What is sealed with a checkpoint: ``env_steps``, ``transitions`` (position in the log), ``config``."""
+
+PREFIX, TORN = "checkpoint-", ".torn"
+
+
+class Checkpoints:
+    """The checkpoints of one run.
+
+    Args:
+        run_dir: the run's directory.
+        keep: how many checkpoints stay.
+        components: what to save, by name; anything with ``state_dict`` and ``load_state_dict``.
+
+    """
+
+    def __init__(self, run_dir: Path, keep: int, components: Mapping[str, Any]) -> None:
+        self._folder, self._keep = run_dir / CHECKPOINTS, keep
+        self._lock: int | None = None
+        self._checkpoint = Checkpoint()
+        for name, component in {**components, "rng": GlobalRNGState()}.items():
+            self._checkpoint.register(name, component, adapter=_WeightsOnly())
+
+    def claim(self) -> None:
+        """Keep other processes from training in the run's directory, until :meth:`release` or the process's death.
+
+        Raises:
+            BlockingIOError: if another process does.
+        """
+        if self._lock is None:
+            self._lock = lock(self._folder.parent)
+
+    def release(self) -> None:
+        """Let others train in the run's directory."""
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    def save(self, env_steps: int, note: Note) -> Path:
+        """Write a checkpoint and drop the ones beyond ``keep``; a kill at any moment leaves the ones before.
+
+        Raises:
+            OSError: if it cannot be written.
+        """
+        destination = self._folder / f"{PREFIX}{env_steps:012d}"
+        if destination.exists():  # the same step of the same run: the same state
+            return destination
+        self._folder.mkdir(parents=True, exist_ok=True)
+        self._sweep()
+        stage = self._folder / f".{destination.name}"
+        try:
+            self._checkpoint.save(stage)
+            seal(stage, {"env_steps": env_steps, **note})
+        except (OSError, RuntimeError) as error:  # PyTorch reports a full disk as a RuntimeError
+            shutil.rmtree(stage, ignore_errors=True)
+            raise OSError(f"cannot write checkpoint {destination}: {error}") from error
+        stage.rename(destination)
+        sync(self._folder)
+        self._prune()
+        return destination
+
+    def exist(self) -> bool:
+        """Whether the run has a checkpoint, whole or not."""
+        return bool(_found(self._folder))
+
+    def load(self, path: Path, torn: Sequence[Path] = ()) -> None:
+        """Restore every component from the checkpoint ``path``; rename the ``torn`` ones: nothing reads them again."""
+        self._checkpoint.load(path)
+        for other in torn:
+            aside = other.with_name(other.name + TORN)
+            shutil.rmtree(aside, ignore_errors=True)
+            other.rename(aside)
+        self._sweep()
+
+    def oldest_transition(self) -> int:
+        """The position in the log of the oldest checkpoint that stays; 0 while that cannot be told."""
+        try:
+            return int(read_note(_found(self._folder)[0])["transitions"]["count"])
+        except (IndexError, ValueError):
+            return 0
+
+    def _prune(self) -> None:
+        for path in _found(self._folder)[: -self._keep]:
+            path.rename(path.with_name(f".{path.name}"))
+        self._sweep()
+
+    def _sweep(self) -> None:
+        """Remove what a kill has left half written or half deleted."""
+        for path in self._folder.glob(".*"):
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def newest_whole(run_dir: Path, accept: Callable[[Note], None] = lambda note: None) -> tuple[Path, Note, list[Path]]:
+    """The newest checkpoint of a run whose checksums are right, its note, and the newer ones that are torn.
+
+    Args:
+        run_dir: the run's directory.
+        accept: called with a checkpoint's note; raises a ValueError if the checkpoint does not fit the run's files.
+
+    Raises:
+        FileNotFoundError: if the run has none; the message says where it was looked for.
+        ValueError: if none is whole.
+    """
+    folder = run_dir / CHECKPOINTS
+    torn: list[Path] = []
+    reasons = []
+    for path in reversed(_found(folder)):
+        try:
+            note = check_seal(path)
+            accept(note)
+        except ValueError as error:
+            torn.append(path)
+            reasons.append(f"{path.name}: {error}")
+            continue
+        for reason in reasons:
+            log.warning("torn checkpoint %s; going back to %s", reason, path.name)
+        return path, note, torn
+    if reasons:
+        raise ValueError(f"no checkpoint in {folder} is whole:\n" + "\n".join(f"  {reason}" for reason in reasons))
+    raise FileNotFoundError(f"no checkpoint in {folder}: expected the directory of a run that saved at least one")
+
+
+def saved_config(run_dir: Path) -> dict[str, Any] | None:
+    """The configuration of a run's newest checkpoint that names one; None if none does."""
+    for path in reversed(_found(run_dir / CHECKPOINTS)):
+        try:
+            return dict(read_note(path)["config"])
+        except ValueError:
+            continue
+    return None
+
+
+def load_agent(run_dir: Path, agent: Any) -> Path:
+    """Restore only the agent from a run's newest whole checkpoint, for evaluation."""
+    path, _, _ = newest_whole(run_dir)
+    Checkpoint().register("agent", agent, adapter=_WeightsOnly()).load(path, components=["agent"])
+    return path
+
+
+def _found(folder: Path) -> list[Path]:
+    """Published checkpoints, oldest first."""
+    return sorted(p for p in folder.glob(f"{PREFIX}*") if p.is_dir() and not p.name.endswith(TORN))
+
+
+class _WeightsOnly(CheckpointAdapter):
+    """One file a component, read by PyTorch's weights-only unpickler, which builds tensors and plain containers.
+
+    TorchRL's own adapter would also read payload formats that unpickle objects, if it found any in a checkpoint.
+    """
+
+    adapter_id = "rrl.weights_only"
+    FILE = "state.pt"
+
+    def save(self, component: Any, path: Path, *, args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> Any:
+        path.mkdir(parents=True)
+        torch.save(component.state_dict(), path / self.FILE)
+
+    def load(
+        self,
+        component: Any,
+        path: Path,
+        *,
+        map_location: Any,
+        tensor_load_kwargs: Mapping[str, Any],
+        args: tuple[Any, ...],
+        kwargs: Mapping[str, Any],
+    ) -> Any:
+        component.load_state_dict(torch.load(path / self.FILE, map_location="cpu", weights_only=True))

@@ -1,0 +1,98 @@
+"""A progress bar with the success so far, or plain lines where the output is no terminal."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TypeVar
+
+import numpy as np
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.progress import Progress as Bar
+
+from ..evaluation.episodes import Comparison
+
+T = TypeVar("T")
+
+
+class Progress:
+    """Shows how far a run is on ``console``."""
+
+    def __init__(self, console: Console) -> None:
+        self.console = console
+        self._bar: Bar | None = None
+
+    @classmethod
+    def silent(cls) -> Progress:
+        """A progress display that shows nothing."""
+        return cls(Console(quiet=True))
+
+    @contextmanager
+    def training(self, total: int, done: int) -> Iterator[None]:
+        """Show a bar over environment steps while the body runs."""
+        bar = Bar(
+            TextColumn("training"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("steps  {task.fields[status]}"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=self.console,
+            disable=not self.console.is_terminal,
+        )
+        with bar, _above_the_bar():
+            self._task = bar.add_task("training", total=total or None, completed=done, status="")
+            self._bar = bar
+            yield
+        self._bar = None
+
+    def advance(self, steps: int) -> None:
+        """Move the bar."""
+        if self._bar is not None:
+            self._bar.advance(self._task, steps)
+
+    def show(self, comparisons: Sequence[Comparison], env_steps: int) -> None:
+        """Show what an evaluation found."""
+        status = describe(comparisons)
+        if self._bar is not None and self.console.is_terminal:
+            self._bar.update(self._task, status=status)
+        else:
+            self.console.print(f"{env_steps:>8} steps  {status}", highlight=False)
+
+    def track(self, items: Iterable[T], what: str) -> Iterable[T]:
+        """Announce every item."""
+        for item in items:
+            self.console.print(f"{what}: {item}", highlight=False)
+            yield item
+
+
+@contextmanager
+def _above_the_bar() -> Iterator[None]:
+    """Let log messages pass through the bar, which has taken the place of stdout and stderr, and not across it."""
+    handlers = [h for h in logging.getLogger().handlers if isinstance(h, logging.StreamHandler)]
+    before = {h: h.stream for h in handlers if h.stream in (sys.__stdout__, sys.__stderr__)}
+    for handler, stream in before.items():
+        handler.setStream(sys.stdout if stream is sys.__stdout__ else sys.stderr)
+    try:
+        yield
+    finally:
+        for handler, stream in before.items():
+            handler.setStream(stream)
+
+
+def describe(comparisons: Sequence[Comparison]) -> str:
+    """One line: success of residual and controller, or returns where there is no success."""
+    summaries = [c.summary() for c in comparisons]
+    key, form = ("success", "{:.0%}") if "success" in summaries[0] else ("return", "{:.2f}")
+    residual = float(np.mean([s[key] for s in summaries]))
+    controller = summaries[0][f"controller_{key}"]
+    return f"{key}: residual {form.format(residual)}, controller {form.format(controller)}"
