@@ -52,7 +52,9 @@ def main(arguments: Sequence[str]) -> int:
     for job in ending.failed:
         print(f"FAILED {job.run.name}\n{tail(job.run)}")
     findings = gather(points, store)
-    text = "\n\n".join(markdown(e, findings[e.name]) for e in experiments if findings[e.name].outcomes)
+    text = "\n\n".join(
+        markdown(e, findings[e.name]) for e in experiments if findings[e.name].outcomes
+    )
     command = " ".join(["python benchmarks/ablation.py", *arguments])
     (store.out / "ablation.md").write_text(f"{text}\n\nMade by `{command}`.\n", encoding="utf-8")
     print(text)
@@ -63,21 +65,30 @@ def read(arguments: Sequence[str]) -> tuple[Settings, list[Experiment]]:
     """Settings and experiments: names of experiments, settings of the command, overrides of ``rrl train``."""
     names = [a for a in arguments if "=" not in a]
     ours = [a for a in arguments if a.partition("=")[0] in COMMAND]
-    changes: dict[str, Any] = {key: yaml.safe_load(value) for key, _, value in (a.partition("=") for a in ours)}
+    changes: dict[str, Any] = {
+        key: yaml.safe_load(value) for key, _, value in (a.partition("=") for a in ours)
+    }
     settings = load_settings([FOLDER], changes)
     overrides = tuple(a for a in arguments if "=" in a and a not in ours)
-    return settings.model_copy(update={"overrides": (*settings.overrides, *overrides)}), load_experiments(
-        names, [FOLDER]
-    )
+    return settings.model_copy(
+        update={"overrides": (*settings.overrides, *overrides)}
+    ), load_experiments(names, [FOLDER])
 
 
 def markdown(experiment: Experiment, finding: Finding) -> str:
     """Success by arm after so many samples, and at the end in every scenario; per cent."""
     first = finding.outcomes[0]
     steps = [int(step) for step in first.curve("success").steps if step][:-1]
-    header = ["", "seeds", *(f"{step} samples" for step in steps), *(f"end, {name}" for name in first.scenarios)]
+    header = [
+        "",
+        "seeds",
+        *(f"{step} samples" for step in steps),
+        *(f"end, {name}" for name in first.scenarios),
+    ]
     rows = [_row(outcome, steps) for outcome in finding.outcomes]
-    controller = ", ".join(f"{s} {100 * first.final('controller_success', s)[0]:.0f} %" for s in first.scenarios)
+    controller = ", ".join(
+        f"{s} {100 * first.final('controller_success', s)[0]:.0f} %" for s in first.scenarios
+    )
     lines = [header, ["---"] * len(header), *rows]
     return (
         f"## {experiment.title}\n\n"

@@ -47,7 +47,8 @@ def rows() -> list[Row]:
     hand, drag = POLICIES
     wanted = {0.0: ">= 98 %", 0.3: "<= 60 %"}
     uniform = [
-        Row("sim", f"yaw U[-{r}, {r}]", hand, wanted.get(r, "falling"), {"yaw_range": r}) for r in (0.0, 0.1, 0.2, 0.3)
+        Row("sim", f"yaw U[-{r}, {r}]", hand, wanted.get(r, "falling"), {"yaw_range": r})
+        for r in (0.0, 0.1, 0.2, 0.3)
     ]
     bias = (0.2, 0.05)
     exploration = (0.0, 0.1)
@@ -130,7 +131,9 @@ def make_policy(row: Row) -> Policy:
 
 def run(row: Row, episodes: int, num_envs: int, threads: int, seed: int) -> tuple[int, int]:
     """Successes and episodes, the latter rounded up to whole batches."""
-    env = InsertionEnv(row.variant, num_envs=num_envs, num_threads=threads, seed=seed, **row.overrides)
+    env = InsertionEnv(
+        row.variant, num_envs=num_envs, num_threads=threads, seed=seed, **row.overrides
+    )
     generator = torch.Generator().manual_seed(seed)
     policy = make_policy(row)
     mean, deviation = row.noise

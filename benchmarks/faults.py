@@ -78,12 +78,16 @@ def wait(child: int) -> None:
     """Wait for a process that is not killed; raise if it fails."""
     _, status = os.waitpid(child, 0)
     if status:
-        raise SystemExit(f"the training process ended with status {os.waitstatus_to_exitcode(status)}")
+        raise SystemExit(
+            f"the training process ended with status {os.waitstatus_to_exitcode(status)}"
+        )
 
 
 def kill(child: int, run_dir: Path, strike_at_checkpoint: bool, rng: random.Random) -> str:
     """Kill the process at a random moment; returns what it was doing, or "finished" if it was too late."""
-    deadline = time.monotonic() + (2 * LONGEST_LIFE if strike_at_checkpoint else rng.uniform(0.0, LONGEST_LIFE))
+    deadline = time.monotonic() + (
+        2 * LONGEST_LIFE if strike_at_checkpoint else rng.uniform(0.0, LONGEST_LIFE)
+    )
     strikes = not strike_at_checkpoint
     while time.monotonic() < deadline:
         if os.waitpid(child, os.WNOHANG) != (0, 0):
@@ -98,7 +102,11 @@ def kill(child: int, run_dir: Path, strike_at_checkpoint: bool, rng: random.Rand
         return "finished"
     if being_written(run_dir):
         return "inside a checkpoint's writing"
-    return "training" if list(run_dir.glob("checkpoints/checkpoint-*")) else "before the first checkpoint"
+    return (
+        "training"
+        if list(run_dir.glob("checkpoints/checkpoint-*"))
+        else "before the first checkpoint"
+    )
 
 
 def being_written(run_dir: Path) -> bool:
@@ -112,7 +120,9 @@ def lost_transitions(run_dir: Path) -> int:
 
     log = TransitionLog(run_dir / "transitions")
     acknowledged = max((step for step, _, _ in read_metrics(run_dir)), default=0) * 2  # two seeds
-    first = min((log._per_segment * int(p.stem[-6:]) for p in log.folder.glob("segment_*.bin")), default=0)
+    first = min(
+        (log._per_segment * int(p.stem[-6:]) for p in log.folder.glob("segment_*.bin")), default=0
+    )
     damaged = log.read(first, log.count)[1] if log.count else []
     return max(0, acknowledged - log.count) + len(damaged)
 
@@ -124,13 +134,19 @@ def read_metrics(run_dir: Path) -> dict[tuple[int, str, str], str]:
         return {}
     with path.open(newline="") as file:
         rows = [row for row in csv.reader(file) if len(row) == 4 and row[0].isdigit()]
-    return {(int(step), seed, name): value for step, seed, name, value in rows if not name.startswith("time/")}
+    return {
+        (int(step), seed, name): value
+        for step, seed, name, value in rows
+        if not name.startswith("time/")
+    }
 
 
 def components(run_dir: Path) -> dict[str, Any]:
     """What the newest checkpoint holds, by component."""
     newest = sorted(run_dir.glob("checkpoints/checkpoint-*"))[-1]
-    return {p.parent.name: torch.load(p, weights_only=True) for p in sorted(newest.rglob("state.pt"))}
+    return {
+        p.parent.name: torch.load(p, weights_only=True) for p in sorted(newest.rglob("state.pt"))
+    }
 
 
 def compare(whole: Path, broken: Path) -> dict[str, bool]:
@@ -141,7 +157,9 @@ def compare(whole: Path, broken: Path) -> dict[str, bool]:
         same[name.partition("-")[2]] = same_state(state, theirs[name])
     same["transitions"] = transitions(whole) == transitions(broken)
     same["metrics"] = read_metrics(whole) == read_metrics(broken)
-    same["transitions made twice"] = all(tail_made_again(path) for path in broken.glob("transitions/tail_*.bin"))
+    same["transitions made twice"] = all(
+        tail_made_again(path) for path in broken.glob("transitions/tail_*.bin")
+    )
     return same
 
 
@@ -158,7 +176,9 @@ def tail_made_again(tail: Path) -> bool:
     size = log._record.itemsize
     content = tail.read_bytes()
     first = int(tail.stem.split("_")[1])
-    return transitions(tail.parents[1])[first * size :].startswith(content[: len(content) // size * size])
+    return transitions(tail.parents[1])[first * size :].startswith(
+        content[: len(content) // size * size]
+    )
 
 
 def same_state(one: Any, other: Any) -> bool:
@@ -176,7 +196,9 @@ def main() -> int:
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--steps", type=int, default=1000, help="environment steps of one seed")
     parser.add_argument("--seed", type=int, default=0, help="of the moments of the kills")
-    parser.add_argument("--out", type=Path, help="keep the runs here; a temporary folder when left out")
+    parser.add_argument(
+        "--out", type=Path, help="keep the runs here; a temporary folder when left out"
+    )
     arguments = parser.parse_args()
     import torch.utils.tensorboard  # noqa: F401 - what the children need is imported once, here
 
@@ -185,7 +207,9 @@ def main() -> int:
 
     with contextlib.ExitStack() as stack:
         out = arguments.out or Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        return campaign(out.resolve(), arguments.kills, arguments.steps, random.Random(arguments.seed))
+        return campaign(
+            out.resolve(), arguments.kills, arguments.steps, random.Random(arguments.seed)
+        )
 
 
 def campaign(out: Path, kills: int, steps: int, rng: random.Random) -> int:
@@ -213,12 +237,23 @@ def campaign(out: Path, kills: int, steps: int, rng: random.Random) -> int:
     return int(lost > 0 or not all(verdicts.values()))
 
 
-def report(struck: Counter[str], lost: int, runs: int, verdicts: dict[str, bool], torn: int) -> None:
+def report(
+    struck: Counter[str], lost: int, runs: int, verdicts: dict[str, bool], torn: int
+) -> None:
     """Print the table."""
     rows = [(f"SIGKILL {doing}", str(count)) for doing, count in struck.most_common()]
-    rows += [("SIGKILL in all", str(sum(struck.values()))), ("runs brought to their end", str(runs))]
-    rows += [("stored transitions lost", str(lost)), ("published checkpoints found torn", str(torn))]
-    rows += [(f"same as uninterrupted: {name}", "yes" if same else "NO") for name, same in verdicts.items()]
+    rows += [
+        ("SIGKILL in all", str(sum(struck.values()))),
+        ("runs brought to their end", str(runs)),
+    ]
+    rows += [
+        ("stored transitions lost", str(lost)),
+        ("published checkpoints found torn", str(torn)),
+    ]
+    rows += [
+        (f"same as uninterrupted: {name}", "yes" if same else "NO")
+        for name, same in verdicts.items()
+    ]
     for name, value in rows:
         print(f"| {name:<48} | {value:>5} |")
     print(json.dumps({"kills": sum(struck.values()), "lost": lost, "same": all(verdicts.values())}))

@@ -28,14 +28,18 @@ from rrl.trainers.configuration import build as assembly
 WAYS = {"fast": FAST, "plain": PLAIN}
 
 
-def train(way: str, seeds: int, out: Path, overrides: list[str]) -> tuple[dict[str, np.ndarray], float]:
+def train(
+    way: str, seeds: int, out: Path, overrides: list[str]
+) -> tuple[dict[str, np.ndarray], float]:
     """Success rates by scenario, one a seed, and the seconds that it took."""
     config = configuration([f"trainer.num_seeds={seeds}", *overrides, *WAYS[way]])
     start = time.perf_counter()
     with assembly.trainer(config, out / way) as trainer:
         results = trainer.run()
     seconds = time.perf_counter() - start
-    return {name: np.array([c.summary()["success"] for c in found]) for name, found in results.items()}, seconds
+    return {
+        name: np.array([c.summary()["success"] for c in found]) for name, found in results.items()
+    }, seconds
 
 
 def interval(values: np.ndarray) -> str:
@@ -47,13 +51,21 @@ def interval(values: np.ndarray) -> str:
 
 def main() -> None:
     """Train both ways, compare."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--out", type=Path, default=Path("outputs/learning") / time.strftime("%Y-%m-%d_%H-%M-%S"))
+    parser.add_argument(
+        "--out", type=Path, default=Path("outputs/learning") / time.strftime("%Y-%m-%d_%H-%M-%S")
+    )
     parser.add_argument("overrides", nargs="*")
     options = parser.parse_intermixed_args()
     found = {way: train(way, options.seeds, options.out, options.overrides) for way in WAYS}
-    table = Table("scenario", *(f"{way} ({seconds:.0f} s)" for way, (_, seconds) in found.items()), "difference")
+    table = Table(
+        "scenario",
+        *(f"{way} ({seconds:.0f} s)" for way, (_, seconds) in found.items()),
+        "difference",
+    )
     for scenario in found["fast"][0]:
         fast, plain = (found[way][0][scenario] for way in ("fast", "plain"))
         if fast.std() + plain.std() > 0:

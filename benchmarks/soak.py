@@ -57,7 +57,9 @@ class Sample:
     threads: int
     cpu: float  # seconds
     speed: float = 0.0  # environment steps of one seed per second
-    cpu_speed: float = 0.0  # and per second of this process's own time, which others on the machine disturb less
+    cpu_speed: float = (
+        0.0  # and per second of this process's own time, which others on the machine disturb less
+    )
 
 
 def sample(start: float, env_steps: int) -> Sample:
@@ -65,7 +67,9 @@ def sample(start: float, env_steps: int) -> Sample:
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     memory = pages * os.sysconf("SC_PAGE_SIZE") / 2**20
     threads = len(os.listdir("/proc/self/task"))  # noqa: PTH208
-    return Sample(time.monotonic() - start, env_steps, memory, lasting_files(), threads, time.process_time())
+    return Sample(
+        time.monotonic() - start, env_steps, memory, lasting_files(), threads, time.process_time()
+    )
 
 
 def lasting_files() -> dict[str, str]:
@@ -128,7 +132,9 @@ def verdict(samples: list[Sample]) -> list[str]:
     found = []
     if len(last.files) > len(first.files):
         new = sorted(set(last.files.values()) - set(first.files.values()))
-        found.append(f"open files grew from {len(first.files)} to {len(last.files)}: {', '.join(new)}")
+        found.append(
+            f"open files grew from {len(first.files)} to {len(last.files)}: {', '.join(new)}"
+        )
     if last.threads > first.threads:
         found.append(f"threads grew from {first.threads} to {last.threads}")
     if last.memory - first.memory > MEMORY_SLACK:
@@ -145,7 +151,9 @@ def main() -> int:
     parser.add_argument("--window", type=float, default=60.0, help="seconds of one sample")
     arguments = parser.parse_args()
     if arguments.minutes * 60 < 4 * arguments.window:
-        parser.error(f"expected at least four windows of {arguments.window:g} s, got {arguments.minutes:g} minutes")
+        parser.error(
+            f"expected at least four windows of {arguments.window:g} s, got {arguments.minutes:g} minutes"
+        )
     from hydra import compose, initialize_config_module
     from omegaconf import OmegaConf
 
@@ -153,7 +161,10 @@ def main() -> int:
 
     with initialize_config_module("rrl.configs", version_base="1.3"):
         config = OmegaConf.to_container(compose("train", overrides=SETTINGS), resolve=True)
-    with tempfile.TemporaryDirectory() as folder, assembly.trainer(config, Path(folder) / "run") as trainer:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        assembly.trainer(config, Path(folder) / "run") as trainer,
+    ):
         found = verdict(watch(trainer, arguments.minutes, arguments.window))
         print(f"{threading.active_count()} Python threads at the end")
     print("\n".join(found) or "nothing grew, and the speed stayed")

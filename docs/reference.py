@@ -18,7 +18,11 @@ WITHOUT_PAGE = ("rrl.trainers.__main__",)
 
 def modules() -> list[str]:
     """Every page of the reference."""
-    found = [m.name for package in INSIDE for m in pkgutil.iter_modules(import_module(package).__path__, f"{package}.")]
+    found = [
+        m.name
+        for package in INSIDE
+        for m in pkgutil.iter_modules(import_module(package).__path__, f"{package}.")
+    ]
     return [*PACKAGES, *(name for name in found if name not in WITHOUT_PAGE)]
 
 
@@ -28,7 +32,9 @@ def build(out: Path) -> None:
     Raises:
         Warning: whatever the builder finds, such as a name in ``__all__`` or in an annotation that does not exist.
     """
-    os.environ["PDOC_ALLOW_EXEC"] = "1"  # MuJoCo's window library looks for itself in a process of its own
+    os.environ["PDOC_ALLOW_EXEC"] = (
+        "1"  # MuJoCo's window library looks for itself in a process of its own
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of the imports
         import pdoc
@@ -41,7 +47,9 @@ def build(out: Path) -> None:
             import_module(name)
         warnings.simplefilter("ignore", DeprecationWarning)  # of what the builder imports itself
         warnings.simplefilter("error", UserWarning)
-        warnings.filterwarnings("ignore", message="The module specification .* has already been added")
+        warnings.filterwarnings(
+            "ignore", message="The module specification .* has already been added"
+        )
         # what our classes inherit: TorchRL imports these names for its type checker alone
         warnings.filterwarnings("ignore", message=".*(BaseCollector|LLMCollector)")
         pdoc.render.configure(docformat="google", footer_text="rrl")

@@ -14,7 +14,13 @@ from .insertion.batched_env import InsertionEnv
 from .insertion.composer_task import InsertionTask
 from .insertion.config import InsertionConfig, make_config
 from .insertion.registry import NAMES, load
-from .insertion.render import Renderer, RenderingUnavailable, render_composer, render_states, write_video
+from .insertion.render import (
+    Renderer,
+    RenderingUnavailable,
+    render_composer,
+    render_states,
+    write_video,
+)
 
 __all__ = [
     "NAMES",

@@ -16,11 +16,17 @@ def main(run_dir="outputs/frozen_policy", **settings):
     alone = point(controller=partial(ZeroController, action_size=2))
     with Trainer(TrainerSettings(**settings), alone, run_dir=f"{run_dir}/alone") as trainer:
         trainer.run()
-    policy = TensorDictSequential(alone.reader(), trainer.agent.policy_of(0))  # reads position and goal
+    policy = TensorDictSequential(
+        alone.reader(), trainer.agent.policy_of(0)
+    )  # reads position and goal
     torch.save(policy.state_dict(), f"{run_dir}/policy.pt")
 
-    environment = point(controller=partial(PolicyController, policy, f"{run_dir}/policy.pt"), residual_scale=0.5)
-    with Trainer(TrainerSettings(**settings), environment, run_dir=f"{run_dir}/residual") as trainer:
+    environment = point(
+        controller=partial(PolicyController, policy, f"{run_dir}/policy.pt"), residual_scale=0.5
+    )
+    with Trainer(
+        TrainerSettings(**settings), environment, run_dir=f"{run_dir}/residual"
+    ) as trainer:
         return trainer.run()["training"][0].summary()
 
 

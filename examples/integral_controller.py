@@ -26,8 +26,12 @@ class Integral(StatefulController):
 def main(run_dir="outputs/integral_controller", **settings):
     """Train a residual on the integral controller and return the comparison with the controller alone."""
     keys = ["position", "goal"]
-    environment = EnvironmentFactory(Point, partial(Integral, keys), [*keys, "base_action"], batching="serial")
-    with Trainer(TrainerSettings(envs_per_seed=2, **settings), environment, run_dir=run_dir) as trainer:
+    environment = EnvironmentFactory(
+        Point, partial(Integral, keys), [*keys, "base_action"], batching="serial"
+    )
+    with Trainer(
+        TrainerSettings(envs_per_seed=2, **settings), environment, run_dir=run_dir
+    ) as trainer:
         return trainer.run()["training"][0].summary()
 
 

@@ -27,19 +27,29 @@ def make_env():
 def main(total_steps=5000):
     """Train by DDPG and return the mean reward of the last collection."""
     env = make_env()
-    network = torch.nn.Sequential(MLP(in_features=6, out_features=2, num_cells=[64, 64]), torch.nn.Tanh())
+    network = torch.nn.Sequential(
+        MLP(in_features=6, out_features=2, num_cells=[64, 64]), torch.nn.Tanh()
+    )
     actor = SafeModule(network, in_keys=["observation"], out_keys=["action"])
     critic = SafeModule(
-        MLP(out_features=1, in_features=8, num_cells=[64, 64]), ["observation", "action"], ["state_action_value"]
+        MLP(out_features=1, in_features=8, num_cells=[64, 64]),
+        ["observation", "action"],
+        ["state_action_value"],
     )
     loss = DDPGLoss(actor, critic, delay_actor=True, delay_value=True)
     loss.make_value_estimator(gamma=0.9)
     targets = SoftUpdate(loss, tau=0.01)
     optimizer = torch.optim.Adam(loss.parameters(), lr=1e-3)
     buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(total_steps), batch_size=64)
-    behaviour = SafeSequential(actor, AdditiveGaussianModule(env.action_spec, sigma_init=0.3, sigma_end=0.3))
+    behaviour = SafeSequential(
+        actor, AdditiveGaussianModule(env.action_spec, sigma_init=0.3, sigma_end=0.3)
+    )
     collector = Collector(
-        env, behaviour, frames_per_batch=20, total_frames=total_steps, auto_register_policy_transforms=False
+        env,
+        behaviour,
+        frames_per_batch=20,
+        total_frames=total_steps,
+        auto_register_policy_transforms=False,
     )
     for data in collector:
         buffer.extend(data.reshape(-1))

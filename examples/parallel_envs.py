@@ -16,7 +16,9 @@ def main(run_dir="outputs/parallel_envs", **settings):
         inputs=["position", "goal"],
         batching="parallel",
     )
-    with Trainer(TrainerSettings(envs_per_seed=2, **settings), environment, run_dir=run_dir) as trainer:
+    with Trainer(
+        TrainerSettings(envs_per_seed=2, **settings), environment, run_dir=run_dir
+    ) as trainer:
         return trainer.run()["training"][0].summary()
 
 

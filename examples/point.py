@@ -23,7 +23,9 @@ class Point(EnvBase):
         self.absolute = absolute
         self.generator = torch.Generator()
         self.observation_spec = Composite(
-            position=Unbounded([2]), goal=Bounded(-1.0, 1.0, [2]), success=Binary(1, [1], dtype=torch.bool)
+            position=Unbounded([2]),
+            goal=Bounded(-1.0, 1.0, [2]),
+            success=Binary(1, [1], dtype=torch.bool),
         )
         self.action_spec = Bounded(-1.0, 1.0, [2])
         self.reward_spec = Unbounded([1])
@@ -40,7 +42,11 @@ class Point(EnvBase):
         delta = (action - self.position).clamp(-STEP, STEP) if self.absolute else action * STEP
         self.position, self.steps = self.position + delta + DRIFT, self.steps + 1
         truncated = torch.tensor([self.steps >= EPISODE])
-        ends = {"done": truncated, "truncated": truncated.clone(), "terminated": torch.zeros(1, dtype=torch.bool)}
+        ends = {
+            "done": truncated,
+            "truncated": truncated.clone(),
+            "terminated": torch.zeros(1, dtype=torch.bool),
+        }
         return TensorDict({**self.observe(), **ends, "reward": -self.distance()}, [])
 
     def observe(self):

@@ -26,9 +26,13 @@ def per_dimension(
     try:
         tensor = torch.as_tensor(value, dtype=torch.float32).detach().clone()
     except (TypeError, ValueError, RuntimeError):
-        raise ValueError(f"{name} must be a number or a list with one number a dimension, got {value!r}.") from None
+        raise ValueError(
+            f"{name} must be a number or a list with one number a dimension, got {value!r}."
+        ) from None
     if tensor.ndim > 1 or tensor.numel() == 0:
-        raise ValueError(f"{name} must be a number or a list with one number a dimension, got {value!r}.")
+        raise ValueError(
+            f"{name} must be a number or a list with one number a dimension, got {value!r}."
+        )
     if not tensor.isfinite().all():
         raise ValueError(f"{name} must be finite, got {value!r}.")
     if minimum is not None and (tensor < minimum).any():

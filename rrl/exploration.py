@@ -15,7 +15,13 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 from rrl.keys import ACTION
 from rrl.slot_random import SlotGenerators
 
-__all__ = ["ExplorationNoise", "GaussianExploration", "NoExploration", "OrnsteinUhlenbeckExploration", "Ramp"]
+__all__ = [
+    "ExplorationNoise",
+    "GaussianExploration",
+    "NoExploration",
+    "OrnsteinUhlenbeckExploration",
+    "Ramp",
+]
 
 
 class ExplorationNoise(TensorDictModuleBase):
@@ -51,7 +57,10 @@ class ExplorationNoise(TensorDictModuleBase):
         seed: int = 0,
     ) -> None:
         super().__init__()
-        for name, value in (("sigma", sigma), ("sigma_end", sigma if sigma_end is None else sigma_end)):
+        for name, value in (
+            ("sigma", sigma),
+            ("sigma_end", sigma if sigma_end is None else sigma_end),
+        ):
             if value < 0:
                 raise ValueError(f"{name}: expected a scale of 0 or more, got {value}")
         if decay_steps < 1:
@@ -86,7 +95,11 @@ class ExplorationNoise(TensorDictModuleBase):
         return tensordict
 
     def _project(self, action: Tensor) -> Tensor:
-        return self.spec.project(action) if self._bounds is None else torch.clamp(action, *self._bounds)
+        return (
+            self.spec.project(action)
+            if self._bounds is None
+            else torch.clamp(action, *self._bounds)
+        )
 
     def get_extra_state(self) -> dict[str, Any]:
         """How far the decay is, and the generators' state."""
@@ -137,7 +150,12 @@ class OrnsteinUhlenbeckExploration(ExplorationNoise):
         seed: int = 0,
     ) -> None:
         super().__init__(
-            spec, sigma=sigma, sigma_end=sigma_end, decay_steps=decay_steps, num_slots=num_slots, seed=seed
+            spec,
+            sigma=sigma,
+            sigma_end=sigma_end,
+            decay_steps=decay_steps,
+            num_slots=num_slots,
+            seed=seed,
         )
         if not 0 < theta <= 1:
             raise ValueError(f"theta: expected a share in (0, 1], got {theta}")

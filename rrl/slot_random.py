@@ -127,7 +127,10 @@ class SlotGenerators:
         seed = self._seed
         if seed is None:
             seed = int(torch.randint(_MAX_DRAWN_SEED, ()))
-        return [torch.Generator().manual_seed(_stream_seed(seed + slot, self.stream)) for slot in range(self.num_slots)]
+        return [
+            torch.Generator().manual_seed(_stream_seed(seed + slot, self.stream))
+            for slot in range(self.num_slots)
+        ]
 
     def __getstate__(self) -> dict[str, Any]:
         # Plain tensors instead of generators: picklable in every supported torch version.

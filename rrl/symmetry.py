@@ -34,14 +34,21 @@ class Symmetry:
     """
 
     def __init__(self, mirrors: Sequence[tuple[Sequence[int], Sequence[int]]]) -> None:
-        maps = [(as_map("observation", observation), as_map("action", action)) for observation, action in mirrors]
+        maps = [
+            (as_map("observation", observation), as_map("action", action))
+            for observation, action in mirrors
+        ]
         sizes = {(len(observation), len(action)) for observation, action in maps}
         if len(sizes) != 1:
-            raise ValueError(f"mirrors: expected maps of the same lengths, at least one, got {sorted(sizes)}")
+            raise ValueError(
+                f"mirrors: expected maps of the same lengths, at least one, got {sorted(sizes)}"
+            )
         self.observation_size, self.action_size = next(iter(sizes))
         group = _generated(maps)
         self.num_images = len(group)
-        back = [next(other for other in group if _after(other, image) == group[0]) for image in group]
+        back = [
+            next(other for other in group if _after(other, image) == group[0]) for image in group
+        ]
         self._observation = _Maps([observation for observation, _ in group])
         self._action = _Maps([action for _, action in group])
         self._action_back = _Maps([action for _, action in back])

@@ -15,7 +15,9 @@ BATCH, OBSERVATION, ACTION = 16, 5, 2
 
 
 def make_agent(algorithm: Any = TD3, num_seeds: int = 1, **arguments: Any) -> Any:
-    return algorithm({"observation": OBSERVATION}, ACTION, num_seeds=num_seeds, hidden=[32, 32], **arguments)
+    return algorithm(
+        {"observation": OBSERVATION}, ACTION, num_seeds=num_seeds, hidden=[32, 32], **arguments
+    )
 
 
 def batches(k: int, num_seeds: int, seed: int = 0) -> TensorDict:
@@ -27,7 +29,11 @@ def batches(k: int, num_seeds: int, seed: int = 0) -> TensorDict:
         return torch.randn(*shape, size, generator=g)
 
     terminated = torch.rand(*shape, 1, generator=g) < 0.1
-    following = {"observation": normal(OBSERVATION), "reward": normal(1), "done": terminated.clone()}
+    following = {
+        "observation": normal(OBSERVATION),
+        "reward": normal(1),
+        "done": terminated.clone(),
+    }
     root = {"observation": normal(OBSERVATION), "action": normal(ACTION).tanh()}
     return TensorDict({**root, "next": {**following, "terminated": terminated}}, shape)
 

@@ -24,7 +24,10 @@ def random_actions(num_steps: int, num_envs: int, seed: int = 0) -> torch.Tensor
 
 def flat(td: TensorDictBase) -> dict[str, np.ndarray]:
     """All leaves as arrays, nested names joined by dots."""
-    return {".".join(key) if isinstance(key, tuple) else key: value.numpy() for key, value in td.items(True, True)}
+    return {
+        ".".join(key) if isinstance(key, tuple) else key: value.numpy()
+        for key, value in td.items(True, True)
+    }
 
 
 def assert_same(left: TensorDictBase, right: TensorDictBase) -> None:

@@ -23,7 +23,9 @@ def resolve(*overrides):
 
 @pytest.mark.parametrize("choice", CHOICES)
 def test_every_choice_builds_a_trainer(choice, tmp_path):
-    config = resolve(choice.replace("logger=", "logger=[") + "]" if choice.startswith("logger=") else choice)
+    config = resolve(
+        choice.replace("logger=", "logger=[") + "]" if choice.startswith("logger=") else choice
+    )
     trainer = assembly.trainer(config, tmp_path)
     trainer.close()
 

@@ -46,7 +46,10 @@ def commands():
 
 @pytest.mark.parametrize("snippet", [*blocks("python")])
 def test_python_runs(snippet):
-    user_has = {"base": PointMass([1]), "controller": ProportionalController("end_effector_position", gain=1.0)}
+    user_has = {
+        "base": PointMass([1]),
+        "controller": ProportionalController("end_effector_position", gain=1.0),
+    }
     names = dict(user_has)
     exec(compile(snippet, "snippet", "exec"), names)
     if "env" in names:
@@ -56,7 +59,12 @@ def test_python_runs(snippet):
 @pytest.mark.parametrize("snippet", [*blocks("yaml")])
 def test_yaml_describes_an_environment(snippet):
     inputs = {"position": Input(), "goal": Input(), "base_action": Input()}
-    assert EnvironmentFactory(lambda: None, lambda: None, inputs, **yaml.safe_load(snippet)).symmetry().num_images > 1
+    assert (
+        EnvironmentFactory(lambda: None, lambda: None, inputs, **yaml.safe_load(snippet))
+        .symmetry()
+        .num_images
+        > 1
+    )
 
 
 @pytest.mark.parametrize("command", [*commands()])
@@ -78,7 +86,9 @@ def check_rrl(arguments, tmp_path, monkeypatch):
     elif command == "new":
         assert create(rest[0], tmp_path)
     elif command == "reproduce":
-        assert {a for a in rest if "=" not in a} <= {path.stem for path in (ROOT / "configs/experiment").iterdir()}
+        assert {a for a in rest if "=" not in a} <= {
+            path.stem for path in (ROOT / "configs/experiment").iterdir()
+        }
         assert {a.partition("=")[0] for a in changes} <= set(
             yaml.safe_load((ROOT / "configs/reproduce.yaml").read_text())
         )

@@ -66,7 +66,9 @@ class PointMass(EnvBase):
         self.full_action_spec = Composite({action_key: action}, shape=batch)
         self.reward_spec = Unbounded((*batch, 1))
         done = Binary(1, (*batch, 1), dtype=torch.bool)
-        self.full_done_spec = Composite(done=done, terminated=done.clone(), truncated=done.clone(), shape=batch)
+        self.full_done_spec = Composite(
+            done=done, terminated=done.clone(), truncated=done.clone(), shape=batch
+        )
 
     def _observe(self) -> dict[str, Tensor]:
         distance = (self._goal - self._position).norm(dim=-1, keepdim=True)

@@ -34,12 +34,16 @@ def read(folder: Path) -> OfflineRun:
         kind = record.WhichOneof("record_type")
         if kind == "run":
             out.run = record.run
-            out.config |= {item.key: json.loads(item.value_json) for item in record.run.config.update}
+            out.config |= {
+                item.key: json.loads(item.value_json) for item in record.run.config.update
+            }
         elif kind == "metric":
             out.metrics.append(record.metric)
         elif kind == "history":
             items = record.history.item
-            out.history.append({i.key or "/".join(i.nested_key): json.loads(i.value_json) for i in items})
+            out.history.append(
+                {i.key or "/".join(i.nested_key): json.loads(i.value_json) for i in items}
+            )
     return out
 
 

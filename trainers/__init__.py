@@ -14,7 +14,14 @@ if TYPE_CHECKING:
     from .settings import CheckpointSettings, EvaluationSettings, TrainerSettings
     from .training.trainer import Trainer
 
-__all__ = ["CheckpointSettings", "EnvironmentFactory", "EvaluationSettings", "Input", "Trainer", "TrainerSettings"]
+__all__ = [
+    "CheckpointSettings",
+    "EnvironmentFactory",
+    "EvaluationSettings",
+    "Input",
+    "Trainer",
+    "TrainerSettings",
+]
 
 _MODULES = {
     "CheckpointSettings": ".settings",
@@ -28,5 +35,7 @@ _MODULES = {
 
 def __getattr__(name: str) -> Any:
     if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it has {sorted(_MODULES)}")
+        raise AttributeError(
+            f"module {__name__!r} has no attribute {name!r}; it has {sorted(_MODULES)}"
+        )
     return getattr(import_module(_MODULES[name], __name__), name)

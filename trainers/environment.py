@@ -127,7 +127,9 @@ class EnvironmentFactory:
         entries = self._inputs()
 
         def concatenate(*values: torch.Tensor) -> torch.Tensor:
-            return torch.cat([entry(value) for entry, value in zip(entries.values(), values, strict=True)], -1)
+            return torch.cat(
+                [entry(value) for entry, value in zip(entries.values(), values, strict=True)], -1
+            )
 
         return TensorDictModule(concatenate, in_keys=list(entries), out_keys=[OBSERVATION])
 
@@ -147,7 +149,9 @@ class EnvironmentFactory:
                 parts = [self._map(key, entry, maps) for key, entry in self._inputs().items()]
                 mirrors.append((_joined(parts), maps[ACTION]))
             except KeyError as missing:
-                raise ValueError(f"symmetries.{name}: expected a map of {missing}, got {sorted(given)}") from None
+                raise ValueError(
+                    f"symmetries.{name}: expected a map of {missing}, got {sorted(given)}"
+                ) from None
             except ValueError as error:
                 raise ValueError(f"symmetries.{name}.{error}") from None
         return Symmetry(mirrors)
@@ -157,7 +161,9 @@ class EnvironmentFactory:
             return _joined([maps[ACTION]] * (self.action_history if key == PREVIOUS_ACTION else 1))
         scale = entry.column(key, entry.scale, len(maps[key]))
         if any(scale[abs(i) - 1] != scale[n] for n, i in enumerate(maps[key])):
-            raise ValueError(f"{key}: expected equal scales of numbers that the mirror exchanges, got {entry.scale}")
+            raise ValueError(
+                f"{key}: expected equal scales of numbers that the mirror exchanges, got {entry.scale}"
+            )
         return maps[key]
 
     def _inputs(self) -> dict[str, Input]:
@@ -180,16 +186,22 @@ class EnvironmentFactory:
                 raise KeyError(
                     f"environment.inputs names {name!r}, which the environment does not have; it has {available}"
                 )
-            extra = spec[name].ndim - env.ndim - 1  # an image or a list of frames enters as one vector
+            extra = (
+                spec[name].ndim - env.ndim - 1
+            )  # an image or a list of frames enters as one vector
             if extra > 0:
                 env.append_transform(FlattenObservation(-1 - extra, -1, in_keys=[name]))
             size = spec[name].shape[env.ndim :].numel()
             loc.append(entry.column(name, entry.loc, size))
             scale.append(entry.column(name, entry.scale, size))
         keys: list[NestedKey] = list(inputs)
-        env.append_transform(CatTensors(in_keys=keys, out_key=OBSERVATION, del_keys=False, sort=False))
+        env.append_transform(
+            CatTensors(in_keys=keys, out_key=OBSERVATION, del_keys=False, sort=False)
+        )
         scales = torch.cat(scale)
-        env.append_transform(ObservationNorm(loc=-torch.cat(loc) * scales, scale=scales, in_keys=[OBSERVATION]))
+        env.append_transform(
+            ObservationNorm(loc=-torch.cat(loc) * scales, scale=scales, in_keys=[OBSERVATION])
+        )
 
 
 def _joined(maps: Sequence[Sequence[int]]) -> list[int]:

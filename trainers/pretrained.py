@@ -39,7 +39,9 @@ def run_config(run: str | Path | None) -> dict[str, Any]:
     """
     path = Path(run or "").expanduser() / CONFIG_FILE
     if run is None or not path.is_file():
-        raise FileNotFoundError(f"run: expected the directory of a training run, got {run!r}: no {CONFIG_FILE} there")
+        raise FileNotFoundError(
+            f"run: expected the directory of a training run, got {run!r}: no {CONFIG_FILE} there"
+        )
     return dict(yaml.safe_load(path.read_text(encoding="utf-8")))
 
 
@@ -77,7 +79,9 @@ def start_from(agent: Agent, config: Config) -> None:
     agent.start_from(trained, chosen(source, run, start.get("seed")))
 
 
-def policy_controller(run: str | None = None, seed: int | None = None, out_key: str = BASE_ACTION) -> Controller:
+def policy_controller(
+    run: str | None = None, seed: int | None = None, out_key: str = BASE_ACTION
+) -> Controller:
     """A policy that was trained without another controller (``arm=rl``) as the controller: closed loop, frozen.
 
     Args:
@@ -92,7 +96,9 @@ def policy_controller(run: str | None = None, seed: int | None = None, out_key: 
     return PolicyController(_policy(run, seed), out_key=out_key)
 
 
-def replay_controller(run: str | None = None, seed: int | None = None, out_key: str = BASE_ACTION) -> Controller:
+def replay_controller(
+    run: str | None = None, seed: int | None = None, out_key: str = BASE_ACTION
+) -> Controller:
     """The actions of such a policy in its own environment, on a frozen episode that it solves, replayed open loop.
 
     Arguments and errors are those of :func:`policy_controller`.
@@ -110,9 +116,13 @@ def chosen(config: Config, run: str | Path, seed: int | None) -> int:
     if seed is None:
         path = Path(run) / "results.json"
         if not path.is_file():
-            raise ValueError(f"seed: {run} has no final evaluation to choose the best seed by; name one of {seeds}")
+            raise ValueError(
+                f"seed: {run} has no final evaluation to choose the best seed by; name one of {seeds}"
+            )
         results = next(iter(json.loads(path.read_text(encoding="utf-8")).values()))
-        seed = max(seeds, key=lambda s: (results[str(s)].get("success", 0.0), results[str(s)]["return"]))
+        seed = max(
+            seeds, key=lambda s: (results[str(s)].get("success", 0.0), results[str(s)]["return"])
+        )
     if seed not in seeds:
         raise ValueError(f"seed: expected one of the run's seeds {seeds}, got {seed}")
     return seeds.index(seed)
@@ -144,7 +154,9 @@ def _actions(run: str | None, seed: int | None) -> Tensor:
     env, first = factory.make(1), assembly.settings(config).evaluation.seed
     tried = []
     for episode in range(EPISODES_TRIED):
-        actions, solved = _episode(env, agent.policy_of(k), first + episode, factory.max_episode_steps)
+        actions, solved = _episode(
+            env, agent.policy_of(k), first + episode, factory.max_episode_steps
+        )
         tried.append(actions)
         if solved:
             break
@@ -156,7 +168,9 @@ def _episode(env: TransformedEnv, policy: Any, seed: int, max_steps: int) -> tup
     seed_env(env, seed)
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         data = env.rollout(max_steps, policy)
-    return data[ACTION].reshape(-1, data[ACTION].shape[-1]), bool(data["next"].get(SUCCESS, torch.zeros(1)).ravel()[-1])
+    return data[ACTION].reshape(-1, data[ACTION].shape[-1]), bool(
+        data["next"].get(SUCCESS, torch.zeros(1)).ravel()[-1]
+    )
 
 
 def _source(run: str | None, seed: int | None) -> tuple[Config, Agent, int]:
@@ -164,10 +178,14 @@ def _source(run: str | None, seed: int | None) -> tuple[Config, Agent, int]:
     assert run is not None
     target = config["controller"]["_target_"]
     if target.rpartition(".")[2] != ZeroController.__name__:
-        raise ValueError(f"run: expected a policy that acts alone (arm=rl), but {run} has the controller {target}")
+        raise ValueError(
+            f"run: expected a policy that acts alone (arm=rl), but {run} has the controller {target}"
+        )
     private = {BASE_ACTION, PREVIOUS_ACTION} & set(config["env"]["inputs"])
     if private:
-        raise ValueError(f"run: the policy of {run} reads {sorted(private)}, which only its own run can give it")
+        raise ValueError(
+            f"run: the policy of {run} reads {sorted(private)}, which only its own run can give it"
+        )
     return config, trained_agent(config, Path(run))[0], chosen(config, run, seed)
 
 

@@ -37,10 +37,15 @@ def plan(seeds: int) -> dict[str, list[list[str]]]:
     """The processes of every contender, as arguments of :mod:`.contenders`."""
     peers = {name: [name] for name in PEERS if importlib.util.find_spec(NEEDS.get(name, "torch"))}
     if seeds == 1:
-        return {"rrl": [["rrl"]], "rrl-plain": [["rrl-plain"]], **{name: [args] for name, args in peers.items()}}
+        return {
+            "rrl": [["rrl"]],
+            "rrl-plain": [["rrl-plain"]],
+            **{name: [args] for name, args in peers.items()},
+        }
     half = seeds // 2
     stacks = [  # as many processes as the peers'
-        ["rrl", "--stack", str(half), "--seed", str(first), "trainer.overlap=false"] for first in (0, half)
+        ["rrl", "--stack", str(half), "--seed", str(first), "trainer.overlap=false"]
+        for first in (0, half)
     ]
     pairs = {name: [[*args, "--seed", str(k)] for k in range(2)] for name, args in peers.items()}
     stack = ["rrl", "--stack", str(seeds), "trainer.overlap=false"]
@@ -53,12 +58,16 @@ def run(processes: list[list[str]], common: list[str]) -> dict[str, Any]:
     environment = {**os.environ, "OMP_NUM_THREADS": threads, "MKL_NUM_THREADS": threads}
     command = [sys.executable, "-W", "ignore", "-m", "benchmarks.speed.contenders"]
     started = [
-        subprocess.Popen([*command, *arguments, *common], stdout=subprocess.PIPE, text=True, env=environment)
+        subprocess.Popen(
+            [*command, *arguments, *common], stdout=subprocess.PIPE, text=True, env=environment
+        )
         for arguments in processes
     ]
     outputs = [process.communicate()[0] for process in started]
     if any(process.returncode for process in started):
-        raise RuntimeError(f"{processes[0][0]} failed with {[process.returncode for process in started]}")
+        raise RuntimeError(
+            f"{processes[0][0]} failed with {[process.returncode for process in started]}"
+        )
     found = [json.loads(output.splitlines()[-1]) for output in outputs]
     stacks = [int(a[a.index("--stack") + 1]) if "--stack" in a else 1 for a in processes]
     pairs = list(zip(found, stacks, strict=True))
@@ -73,13 +82,17 @@ def run(processes: list[list[str]], common: list[str]) -> dict[str, Any]:
 
 def main() -> None:
     """Measure, print the table, write table, figures and raw numbers."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--steps", type=int, default=3000, help="environment steps of one seed")
     parser.add_argument("--warmup", type=int, default=500, help="of them before the first update")
     parser.add_argument("--seeds", type=int, default=1, choices=(1, 10))
     parser.add_argument(
-        "--success", type=float, help="success rate whose time is reported; 10000 steps of a seed a round"
+        "--success",
+        type=float,
+        help="success rate whose time is reported; 10000 steps of a seed a round",
     )
     parser.add_argument("--only", nargs="+", default=[], help="contenders; sb3 is always one")
     parser.add_argument("--out", type=Path, default=Path("outputs/benchmark"))
@@ -92,11 +105,17 @@ def main() -> None:
     else:
         common = [f"trainer.total_steps={options.steps}", f"trainer.warmup_steps={options.warmup}"]
     common += options.overrides
-    contenders = plan(options.seeds) | ({"rrl-default": [["rrl-default"]]} if options.success else {})
+    contenders = plan(options.seeds) | (
+        {"rrl-default": [["rrl-default"]]} if options.success else {}
+    )
     if options.only:
-        contenders = {name: contenders[name] for name in contenders if name in {*options.only, "sb3"}}
+        contenders = {
+            name: contenders[name] for name in contenders if name in {*options.only, "sb3"}
+        }
     if "sb3" not in contenders:
-        sys.exit("the ratios are to Stable-Baselines3, which is not installed: pip install 'rrl[benchmark]'")
+        sys.exit(
+            "the ratios are to Stable-Baselines3, which is not installed: pip install 'rrl[benchmark]'"
+        )
     console, rounds = Console(), {name: [] for name in contenders}
     for number in range(options.rounds):
         for name, processes in contenders.items():

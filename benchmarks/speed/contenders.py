@@ -58,7 +58,9 @@ def ours(config: Config, options: argparse.Namespace, meter: Meter) -> None:
         trainer.run()
 
 
-def stable_baselines(config: Config, options: argparse.Namespace, meter: Meter, library: str = "sb3") -> None:
+def stable_baselines(
+    config: Config, options: argparse.Namespace, meter: Meter, library: str = "sb3"
+) -> None:
     """Stable-Baselines3's TD3, or SBX's."""
     from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.noise import NormalActionNoise
@@ -73,10 +75,19 @@ def stable_baselines(config: Config, options: argparse.Namespace, meter: Meter, 
     class Observer(BaseCallback):  # type: ignore[misc]
         def _on_step(self) -> bool:
             meter.step(self.num_timesteps - 1)  # called before the updates of this step
-            _evaluate(options, meter, test, lambda o: self.model.predict(o, deterministic=True)[0], self.num_timesteps)
+            _evaluate(
+                options,
+                meter,
+                test,
+                lambda o: self.model.predict(o, deterministic=True)[0],
+                self.num_timesteps,
+            )
             return True
 
-    smoothing = {"target_policy_noise": agent["target_noise"], "target_noise_clip": agent["target_noise_clip"]}
+    smoothing = {
+        "target_policy_noise": agent["target_noise"],
+        "target_noise_clip": agent["target_noise_clip"],
+    }
     model = TD3(
         "MlpPolicy",
         env,
@@ -88,7 +99,9 @@ def stable_baselines(config: Config, options: argparse.Namespace, meter: Meter, 
         train_freq=1,
         gradient_steps=1,
         policy_delay=agent["policy_delay"],
-        action_noise=NormalActionNoise(np.zeros(3), np.full(3, config["algorithm"]["exploration"]["sigma"])),
+        action_noise=NormalActionNoise(
+            np.zeros(3), np.full(3, config["algorithm"]["exploration"]["sigma"])
+        ),
         policy_kwargs={"net_arch": list(agent["hidden"])},
         seed=trainer["seed"],
         **(smoothing if library == "sb3" else {}),
@@ -114,19 +127,32 @@ def cleanrl(config: Config, options: argparse.Namespace, meter: Meter) -> None:
     pairs = [*zip(nets.actor.parameters(), target.actor.parameters(), strict=True)]
     for online, slow in zip(nets.critics, target.critics, strict=True):
         pairs += zip(online.parameters(), slow.parameters(), strict=True)
-    total, batch, sigma = trainer["total_steps"], trainer["batch_size"], config["algorithm"]["exploration"]["sigma"]
+    total, batch, sigma = (
+        trainer["total_steps"],
+        trainer["batch_size"],
+        config["algorithm"]["exploration"]["sigma"],
+    )
     observations, following = (np.empty((total, size), np.float32) for _ in range(2))
     actions, rewards = np.empty((total, 3), np.float32), np.empty((total, 1), np.float32)
     random = np.random.default_rng(trainer["seed"])
     observation, _ = env.reset(seed=trainer["seed"])
     for step in range(total):
-        action = np.clip(nets.act(observation) + sigma * random.standard_normal(3), -1, 1).astype(np.float32)
+        action = np.clip(nets.act(observation) + sigma * random.standard_normal(3), -1, 1).astype(
+            np.float32
+        )
         new, reward, _, over, _ = env.step(action)
-        observations[step], actions[step], rewards[step], following[step] = observation, action, reward, new
+        observations[step], actions[step], rewards[step], following[step] = (
+            observation,
+            action,
+            reward,
+            new,
+        )
         observation = env.reset()[0] if over else new
         if step + 1 >= trainer["warmup_steps"]:
             rows = random.integers(0, step + 1, batch)
-            o, a, r, n = (torch.from_numpy(x[rows]) for x in (observations, actions, rewards, following))
+            o, a, r, n = (
+                torch.from_numpy(x[rows]) for x in (observations, actions, rewards, following)
+            )
             with torch.no_grad():
                 noise = (torch.randn_like(a) * agent["target_noise"]).clamp(
                     -agent["target_noise_clip"], agent["target_noise_clip"]
@@ -134,7 +160,9 @@ def cleanrl(config: Config, options: argparse.Namespace, meter: Meter) -> None:
                 pair = torch.cat([n, (target.actor(n) + noise).clamp(-1, 1)], -1)
                 goal = r + agent["gamma"] * torch.min(*(critic(pair) for critic in target.critics))
             pair = torch.cat([o, a], -1)
-            loss: Tensor = sum(nn.functional.mse_loss(critic(pair), goal) for critic in nets.critics)  # type: ignore
+            loss: Tensor = sum(
+                nn.functional.mse_loss(critic(pair), goal) for critic in nets.critics
+            )  # type: ignore
             critic_optimizer.zero_grad()
             loss.backward()
             critic_optimizer.step()

@@ -16,7 +16,9 @@ def started() -> float:
     """When this process was started, in seconds of ``time.time()``."""
     ticks = int(Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19])
     boot = next(
-        int(line.split()[1]) for line in Path("/proc/stat").read_text().splitlines() if line.startswith("btime")
+        int(line.split()[1])
+        for line in Path("/proc/stat").read_text().splitlines()
+        if line.startswith("btime")
     )
     return boot + ticks / TICKS
 

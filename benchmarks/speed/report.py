@@ -39,13 +39,24 @@ def reached(measurement: Measurement, rate: float) -> float | None:
 
 def table(rounds: Rounds, rate: float | None) -> str:
     """Markdown; medians over the rounds, ratios with their least and largest."""
-    header = ["contender", "steps/s", "to SB3", "processor, to SB3", "first update [s]", "peak [MB]"]
+    header = [
+        "contender",
+        "steps/s",
+        "to SB3",
+        "processor, to SB3",
+        "first update [s]",
+        "peak [MB]",
+    ]
     header += [] if rate is None else [f"{rate:.0%} success [s]"]
     lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
     for name, measurements in rounds.items():
-        wall, busy = ratios(rounds, name, "steps_per_second"), 1 / ratios(rounds, name, "processor_ms_per_step")
+        wall, busy = (
+            ratios(rounds, name, "steps_per_second"),
+            1 / ratios(rounds, name, "processor_ms_per_step"),
+        )
         medians = {
-            q: np.median([m[q] for m in measurements]) for q in ("steps_per_second", "first_update_s", "peak_mb")
+            q: np.median([m[q] for m in measurements])
+            for q in ("steps_per_second", "first_update_s", "peak_mb")
         }
         cells = [
             LABELS[name],
@@ -63,15 +74,21 @@ def table(rounds: Rounds, rate: float | None) -> str:
 
 def chart(rounds: Rounds, title: str, path: Path) -> None:
     """Bars of the speed in units of the reference's; whiskers from the slowest to the fastest round."""
-    names = sorted(rounds, key=lambda name: float(np.median(ratios(rounds, name, "steps_per_second"))))
+    names = sorted(
+        rounds, key=lambda name: float(np.median(ratios(rounds, name, "steps_per_second")))
+    )
     values = [ratios(rounds, name, "steps_per_second") for name in names]
     middle = np.array([np.median(v) for v in values])
     spread = np.array([[m - v.min(), v.max() - m] for m, v in zip(middle, values, strict=True)]).T
     figure, axes = plt.subplots(figsize=(7, 0.5 * len(names) + 1.2), layout="constrained")
     colors = ["tab:blue" if name.startswith("rrl") else "0.65" for name in names]
-    axes.barh([LABELS[name] for name in names], middle, xerr=spread, color=colors, error_kw={"capsize": 3})
+    axes.barh(
+        [LABELS[name] for name in names], middle, xerr=spread, color=colors, error_kw={"capsize": 3}
+    )
     for y, value in enumerate(middle):
-        axes.text(0.02 * middle.max(), y, f"{value:.2f}", va="center", color="white", fontweight="bold")
+        axes.text(
+            0.02 * middle.max(), y, f"{value:.2f}", va="center", color="white", fontweight="bold"
+        )
     axes.axvline(1.0, color="0.3", linewidth=0.8)
     axes.set_xlabel("steps a second, in units of Stable-Baselines3's")
     axes.set_title(title)

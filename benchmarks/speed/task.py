@@ -47,15 +47,26 @@ class PlainInsertion(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def __init__(self, config: Config, seed: int) -> None:
         env = config["env"]
-        base = {k: v for k, v in env["base"].items() if k not in ("_target_", "variant", "num_threads", "seed")}
+        base = {
+            k: v
+            for k, v in env["base"].items()
+            if k not in ("_target_", "variant", "num_threads", "seed")
+        }
         self.config = make_config(env["base"]["variant"], base)
         self.simulation = BatchSimulation(compile_model(self.config), self.config, 1, 1)
         self.random = np.random.default_rng(seed)
         self.keys = list(env["inputs"])
-        sizes = {**quantities.observation_sizes(self.config), "base_action": 3, "previous_action": 3}
+        sizes = {
+            **quantities.observation_sizes(self.config),
+            "base_action": 3,
+            "previous_action": 3,
+        }
 
         def column(name: str, default: float) -> np.ndarray:
-            entries = [np.broadcast_to((env["inputs"][k] or {}).get(name, default), sizes[k]) for k in self.keys]
+            entries = [
+                np.broadcast_to((env["inputs"][k] or {}).get(name, default), sizes[k])
+                for k in self.keys
+            ]
             return np.concatenate(entries).astype(np.float64)
 
         self.loc, self.scale = column("loc", 0.0), column("scale", 1.0)
@@ -71,7 +82,9 @@ class PlainInsertion(gymnasium.Env[np.ndarray, np.ndarray]):
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
 
-    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[np.ndarray, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: Any = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start the next episode; ``seed`` starts the random numbers anew."""
         if seed is not None:
             self.random = np.random.default_rng(seed)
@@ -88,20 +101,29 @@ class PlainInsertion(gymnasium.Env[np.ndarray, np.ndarray]):
         self.steps += 1
         self.previous_action = action
         measurement = self._measure(trace)
-        reward = float(quantities.total(quantities.reward_terms(measurement, self.config))[0]) * self.reward_scale
+        reward = (
+            float(quantities.total(quantities.reward_terms(measurement, self.config))[0])
+            * self.reward_scale
+        )
         over = self.steps >= self.config.episode_length or bool(diverged[0])
         info = {"success": bool(quantities.success(measurement, self.config)[0])} if over else {}
         return self._observe(measurement), reward, False, over, info
 
     def _measure(self, trace: np.ndarray) -> quantities.Measurement:
-        return quantities.measure(self.simulation.start.layout.views(trace), self.simulation.start.tare)
+        return quantities.measure(
+            self.simulation.start.layout.views(trace), self.simulation.start.tare
+        )
 
     def _observe(self, measurement: quantities.Measurement) -> np.ndarray:
-        entries = {key: value[0] for key, value in quantities.observation(measurement, self.config).items()}
+        entries = {
+            key: value[0] for key, value in quantities.observation(measurement, self.config).items()
+        }
         seen = entries["blocks"]
         if self.noise.any():
             seen = seen + self.noise * self.random.standard_normal(seen.shape)
-        self.queue = [*self.queue, seen][-self.latency - 1 :] if self.queue else [seen] * (self.latency + 1)
+        self.queue = (
+            [*self.queue, seen][-self.latency - 1 :] if self.queue else [seen] * (self.latency + 1)
+        )
         entries["blocks"] = self.queue[0]
         position = entries["end_effector_position"]
         self.base_action = np.clip(self.gain * (self.goal - position), -self.clip, self.clip)
@@ -110,7 +132,9 @@ class PlainInsertion(gymnasium.Env[np.ndarray, np.ndarray]):
         return ((values - self.loc) * self.scale).astype(np.float32)
 
 
-def success_rate(env: PlainInsertion, act: Callable[[np.ndarray], np.ndarray], episodes: int, seed: int) -> float:
+def success_rate(
+    env: PlainInsertion, act: Callable[[np.ndarray], np.ndarray], episodes: int, seed: int
+) -> float:
     """Share of the frozen episodes ``seed .. seed + episodes - 1`` that ``act`` solves."""
     solved = 0
     for episode in range(episodes):

@@ -25,12 +25,18 @@ def td3_trainer(config: Config, options: argparse.Namespace, meter: Meter) -> No
     """TorchRL's ``TD3Trainer``: as many updates as frames after every collection."""
     from rrl.trainers.configuration import build as assembly
 
-    agent, trainer, frames = config["algorithm"]["agent"], config["trainer"], config["trainer"]["steps_per_collection"]
+    agent, trainer, frames = (
+        config["algorithm"]["agent"],
+        config["trainer"],
+        config["trainer"]["steps_per_collection"],
+    )
     env = assembly.environment(config).make(1)
     env.set_seed(trainer["seed"])
     loss = _loss(agent, Networks(agent, env.observation_spec["observation"].shape[-1]))
     sigma = config["algorithm"]["exploration"]["sigma"]
-    explore = AdditiveGaussianModule(env.action_spec, sigma_init=sigma, sigma_end=sigma, annealing_num_steps=1)
+    explore = AdditiveGaussianModule(
+        env.action_spec, sigma_init=sigma, sigma_end=sigma, annealing_num_steps=1
+    )
     collector = Collector(
         env,
         TensorDictSequential(loss.actor_network, explore),
@@ -83,7 +89,10 @@ def _loss(agent: dict[str, Any], nets: Networks) -> TD3Loss:
 
     loss = TD3Loss(
         TensorDictModule(nets.actor, ["observation"], ["action"]),
-        [TensorDictModule(Critic(c), ["observation", "action"], ["state_action_value"]) for c in nets.critics],
+        [
+            TensorDictModule(Critic(c), ["observation", "action"], ["state_action_value"])
+            for c in nets.critics
+        ],
         bounds=(-1.0, 1.0),
         policy_noise=agent["target_noise"],
         noise_clip=agent["target_noise_clip"],

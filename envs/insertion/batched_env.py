@@ -78,7 +78,9 @@ class InsertionEnv(EnvBase):
         self.num_envs = num_envs
         self.num_diverged = 0
         threads = num_threads or max(1, min(available_threads(), num_envs // ENVS_PER_THREAD))
-        self._simulation = BatchSimulation(compile_model(self.config), self.config, num_envs, threads)
+        self._simulation = BatchSimulation(
+            compile_model(self.config), self.config, num_envs, threads
+        )
         self._steps = np.zeros(num_envs, dtype=np.int64)
         self._measurement = _empty_measurement(num_envs)
         self._generators: list[np.random.Generator] = []
@@ -101,7 +103,10 @@ class InsertionEnv(EnvBase):
         Raises:
             ValueError: what the constructor would raise.
         """
-        for name, value in (("num_envs", num_envs), ("num_threads", 1 if num_threads is None else num_threads)):
+        for name, value in (
+            ("num_envs", num_envs),
+            ("num_threads", 1 if num_threads is None else num_threads),
+        ):
             if not isinstance(value, int) or isinstance(value, bool) or value < 1:
                 raise ValueError(f"{name} must be a whole number of at least 1, got {value!r}")
         if seed is not None and (not isinstance(seed, int) or seed < 0):
@@ -193,12 +198,16 @@ class InsertionEnv(EnvBase):
         """Everything that is written; with reward and done where ``truncated`` is given."""
         m, config = self._measurement, self.config
         terms = quantities.reward_terms(m, config)
-        entries: dict[str, Any] = {name: _tensor(value) for name, value in quantities.observation(m, config).items()}
+        entries: dict[str, Any] = {
+            name: _tensor(value) for name, value in quantities.observation(m, config).items()
+        }
         entries["success"] = torch.from_numpy(quantities.success(m, config)[:, None])
         entries["diverged"] = torch.from_numpy(diverged[:, None])
         entries["contact_force"] = _tensor(m.contact_force[:, None])
         entries["tilt"] = _tensor(m.inclination.max(axis=1)[:, None])
-        entries["reward_terms"] = self._pack({name: _tensor(value[:, None]) for name, value in terms.items()})
+        entries["reward_terms"] = self._pack(
+            {name: _tensor(value[:, None]) for name, value in terms.items()}
+        )
         terminated = np.zeros((self.num_envs, 1), dtype=bool)
         done = terminated.copy() if truncated is None else truncated[:, None]
         entries["terminated"] = torch.from_numpy(terminated)
@@ -234,7 +243,8 @@ class InsertionEnv(EnvBase):
             "yaw": torch.from_numpy(simulation.yaw.copy()),
             "steps": torch.from_numpy(self._steps.copy()),
             "measurement": {
-                name: torch.from_numpy(value.copy()) for name, value in self._measurement._asdict().items()
+                name: torch.from_numpy(value.copy())
+                for name, value in self._measurement._asdict().items()
             },
             "generators": [generator.bit_generator.state for generator in self._generators],
             "num_diverged": self.num_diverged,
@@ -278,4 +288,6 @@ def _empty_measurement(num_envs: int) -> Measurement:
     def zeros(*shape: int) -> np.ndarray:
         return np.zeros((num_envs, *shape))
 
-    return Measurement(zeros(3), zeros(3), zeros(2, 3), zeros(2), zeros(2), zeros(2), zeros(6), zeros())
+    return Measurement(
+        zeros(3), zeros(3), zeros(2, 3), zeros(2), zeros(2), zeros(2), zeros(6), zeros()
+    )

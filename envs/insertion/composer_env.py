@@ -22,12 +22,15 @@ class InsertionEnvironment(composer.Environment):
         random_state: seed or generator of the resets.
     """
 
-    def __init__(self, task: InsertionTask, random_state: int | np.random.RandomState | None = None) -> None:
+    def __init__(
+        self, task: InsertionTask, random_state: int | np.random.RandomState | None = None
+    ) -> None:
         config = task.config
         super().__init__(
             task,
             # Half a substep early, because the time is a sum of rounded numbers.
-            time_limit=config.episode_length * config.control_timestep - config.physics_timestep / 2,
+            time_limit=config.episode_length * config.control_timestep
+            - config.physics_timestep / 2,
             random_state=random_state,
             strip_singleton_obs_buffer_dim=True,
             recompile_mjcf_every_episode=False,

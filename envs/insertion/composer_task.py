@@ -117,7 +117,9 @@ class InsertionTask(composer.Task):
             raise RuntimeError("the model is not compiled yet: make a composer.Environment first")
         return self._start
 
-    def before_step(self, physics: Any, action: np.ndarray, random_state: np.random.RandomState) -> None:
+    def before_step(
+        self, physics: Any, action: np.ndarray, random_state: np.random.RandomState
+    ) -> None:
         """Turns the action into set points.
 
         Raises:

@@ -159,7 +159,9 @@ PRESETS: dict[str, InsertionConfig] = {
 }
 
 
-def make_config(variant: str | InsertionConfig, overrides: Mapping[str, Any] | None = None) -> InsertionConfig:
+def make_config(
+    variant: str | InsertionConfig, overrides: Mapping[str, Any] | None = None
+) -> InsertionConfig:
     """The preset ``variant``, or the config itself, with some fields replaced; lists become tuples.
 
     Overriding ``yaw_range`` alone puts it in the place of the preset's ``yaw_choices``.

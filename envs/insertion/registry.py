@@ -15,7 +15,9 @@ NAMES = tuple(_PREFIX + variant for variant in PRESETS)
 """What :func:`load` takes."""
 
 
-def load(name: str, random_state: int | np.random.RandomState | None = None, **overrides: Any) -> InsertionEnvironment:
+def load(
+    name: str, random_state: int | np.random.RandomState | None = None, **overrides: Any
+) -> InsertionEnvironment:
     """Makes a composer environment.
 
     Args:

@@ -118,7 +118,9 @@ class Renderer:
         self._camera = mujoco.MjvCamera()
         self._data = mujoco.MjData(model)
 
-    def frame(self, model: mujoco.MjModel, data: mujoco.MjData, camera: str = CAMERAS[0]) -> np.ndarray:
+    def frame(
+        self, model: mujoco.MjModel, data: mujoco.MjData, camera: str = CAMERAS[0]
+    ) -> np.ndarray:
         """One picture [height, width, 3], uint8.
 
         Raises:
@@ -141,7 +143,9 @@ class Renderer:
         mujoco.mjr_readPixels(pixels, None, viewport, self._context)
         return np.flipud(pixels)
 
-    def state_frame(self, model: mujoco.MjModel, state: np.ndarray, camera: str = CAMERAS[0]) -> np.ndarray:
+    def state_frame(
+        self, model: mujoco.MjModel, state: np.ndarray, camera: str = CAMERAS[0]
+    ) -> np.ndarray:
         """One picture [height, width, 3] of a full physics state [nstate]."""
         mujoco.mj_setState(model, self._data, np.asarray(state, dtype=np.float64), STATE)
         mujoco.mj_forward(model, self._data)
@@ -194,7 +198,10 @@ def render_states(
     """
     model = env.slot_model(slot)
     with Renderer(model, width, height) as renderer:
-        frames = [renderer.state_frame(model, state[slot] if np.ndim(state) > 1 else state, camera) for state in states]
+        frames = [
+            renderer.state_frame(model, state[slot] if np.ndim(state) > 1 else state, camera)
+            for state in states
+        ]
     if not frames:
         raise ValueError("there are no states to render")
     return np.stack(frames)
@@ -214,7 +221,9 @@ def render_composer(
         return renderer.frame(model, data, camera)
 
 
-def write_video(path: str | Path, frames: np.ndarray | Sequence[np.ndarray], fps: float = 20.0) -> Path:
+def write_video(
+    path: str | Path, frames: np.ndarray | Sequence[np.ndarray], fps: float = 20.0
+) -> Path:
     """Writes frames [T, height, width, 3], uint8, as ``.mp4`` or ``.gif``; makes the folder.
 
     Raises:

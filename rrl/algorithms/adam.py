@@ -72,14 +72,18 @@ class Adam(nn.Module):
             maximize=False,
         )
 
-    def _traced_step(self, parameters: list[Tensor], grads: Any, means: list[Tensor], squares: list[Tensor]) -> None:
+    def _traced_step(
+        self, parameters: list[Tensor], grads: Any, means: list[Tensor], squares: list[Tensor]
+    ) -> None:
         """The same rule with the bias corrections taken out of the loops over elements, which halves its time."""
         beta1, beta2 = self.betas
         steps = self._buffers_named("step")
         torch._foreach_add_(steps, 1.0)
         root = (1 - beta2 ** steps[0]).sqrt()
         # one tensor of both: a compiler stores it, where it would compute each anew in every loop that reads it
-        rate, eps = torch.stack([self.lr * root / (1 - beta1 ** steps[0]), self.eps * root]).unbind()
+        rate, eps = torch.stack(
+            [self.lr * root / (1 - beta1 ** steps[0]), self.eps * root]
+        ).unbind()
         for p, g, mean, square in zip(parameters, grads, means, squares, strict=True):
             mean.lerp_(g, 1 - beta1)
             square.mul_(beta2).addcmul_(g, g, value=1 - beta2)

@@ -97,12 +97,22 @@ class Agent(nn.Module, ABC):
         check("tau", tau, "a share in (0, 1]", 0 < tau <= 1)
         check("policy_delay", policy_delay, "at least 1 update", policy_delay >= 1)
         check("critic_burn_in", critic_burn_in, "0 updates or more", critic_burn_in >= 0)
-        check("loss_function", loss_function, " or ".join(LOSS_FUNCTIONS), loss_function in LOSS_FUNCTIONS)
+        check(
+            "loss_function",
+            loss_function,
+            " or ".join(LOSS_FUNCTIONS),
+            loss_function in LOSS_FUNCTIONS,
+        )
         self.input_keys = list(input_sizes)
         self.action_size, self.num_seeds, self.seed = action_size, num_seeds, seed
         self.hidden, self.layer_norm, self.last_layer_bound = hidden, layer_norm, last_layer_bound
         self.actor_lr, self.critic_lr = actor_lr, critic_lr
-        self.gamma, self.tau, self.loss_function, self.reward_scale = gamma, tau, loss_function, reward_scale
+        self.gamma, self.tau, self.loss_function, self.reward_scale = (
+            gamma,
+            tau,
+            loss_function,
+            reward_scale,
+        )
         self.policy_delay, self.critic_burn_in = policy_delay, critic_burn_in
         self.compiled = compiled
         self.num_updates = 0
@@ -112,7 +122,10 @@ class Agent(nn.Module, ABC):
         self._images = SlotGenerators(seed, num_seeds, stream="images")
         self.symmetry = symmetry
         if symmetry is not None:
-            sizes, expected = (symmetry.observation_size, symmetry.action_size), (self._in_size, action_size)
+            sizes, expected = (
+                (symmetry.observation_size, symmetry.action_size),
+                (self._in_size, action_size),
+            )
             maps = f"maps of {expected[0]} numbers of observation and {expected[1]} of action"
             check("symmetry", sizes, maps, sizes == expected)
             check("symmetry", self.input_keys, "one observation entry", len(self.input_keys) == 1)
@@ -121,7 +134,11 @@ class Agent(nn.Module, ABC):
         """Show in the signature what ``**hyperparameters`` passes on; checks of a configuration read it."""
         super().__init_subclass__(**arguments)
         kinds = [kind for kind in reversed(cls.__mro__) if issubclass(kind, Agent)]
-        parameters = {name: p for kind in kinds for name, p in inspect.signature(kind.__init__).parameters.items()}
+        parameters = {
+            name: p
+            for kind in kinds
+            for name, p in inspect.signature(kind.__init__).parameters.items()
+        }
         shown = [p for p in parameters.values() if p.kind is not p.VAR_KEYWORD]
         cls.__signature__ = inspect.Signature(shown[1:])  # without self
 
@@ -137,7 +154,9 @@ class Agent(nn.Module, ABC):
             "layer_norm": self.layer_norm,
             "squash": squash,
         }
-        self._actor = StackedMLP(self.num_seeds, generators=self._generators, **self._actor_arguments)
+        self._actor = StackedMLP(
+            self.num_seeds, generators=self._generators, **self._actor_arguments
+        )
         return self._actor
 
     def make_critics(self, count: int) -> list[TensorDictModule]:
@@ -154,9 +173,13 @@ class Agent(nn.Module, ABC):
             for _ in range(count)
         ]
         keys = [*self.input_keys, ACTION]
-        return [TensorDictModule(n, in_keys=keys, out_keys=["state_action_value"]) for n in networks]
+        return [
+            TensorDictModule(n, in_keys=keys, out_keys=["state_action_value"]) for n in networks
+        ]
 
-    def learn_from(self, loss: LossModule, critic_params: TensorDictBase, actor_params: TensorDictBase) -> None:
+    def learn_from(
+        self, loss: LossModule, critic_params: TensorDictBase, actor_params: TensorDictBase
+    ) -> None:
         """Take over the loss, and make optimisers and targets for it."""
         self.loss = loss
         self.loss.make_value_estimator(ValueEstimators.TD0, gamma=self.gamma)
@@ -175,7 +198,9 @@ class Agent(nn.Module, ABC):
 
         """
         given, own = other.loss.state_dict(), self.loss.state_dict()
-        weights = [name for name, value in own.items() if value.ndim >= 3]  # [..., S, rows, columns]
+        weights = [
+            name for name, value in own.items() if value.ndim >= 3
+        ]  # [..., S, rows, columns]
         for name in weights:
             if name not in given or given[name].shape[-2:] != own[name].shape[-2:]:
                 raise ValueError(
@@ -231,7 +256,10 @@ class Agent(nn.Module, ABC):
             self._reflect(batches, self.symmetry)
         self.prepare(batches)
         entries = sorted(batches.items(True, True), key=lambda item: str(item[0]))
-        keys, columns = tuple(key for key, _ in entries), [value.contiguous() for _, value in entries]
+        keys, columns = (
+            tuple(key for key, _ in entries),
+            [value.contiguous() for _, value in entries],
+        )
         history: dict[str, list[Tensor]] = {}
         for first, steps in self._plan(len(batches)):
             part = [column[first : first + len(steps)] for column in columns]
@@ -252,12 +280,18 @@ class Agent(nn.Module, ABC):
         self.num_updates += 1
         if self.num_updates % self.policy_delay:
             return self._critic_step
-        return self._critic_and_target_step if self.num_updates <= self.critic_burn_in else self._critic_and_policy_step
+        return (
+            self._critic_and_target_step
+            if self.num_updates <= self.critic_burn_in
+            else self._critic_and_policy_step
+        )
 
     def _reflect(self, batches: TensorDictBase, symmetry: Symmetry) -> None:
         """Put a mirror image, drawn by the transition's seed, in the place of each transition."""
         k, _, batch = batches.shape
-        which = self._images.integers(symmetry.num_images, (k, batch)).transpose(0, 1)  # drawn as (S, k, B)
+        which = self._images.integers(symmetry.num_images, (k, batch)).transpose(
+            0, 1
+        )  # drawn as (S, k, B)
         for key in (self.input_keys[0], ("next", self.input_keys[0])):
             batches[key] = symmetry.reflect(batches[key], which)
         batches[ACTION] = symmetry.reflect_action(batches[ACTION], which)

@@ -52,7 +52,10 @@ def can_compile() -> bool:
 def import_compiler() -> None:
     """Import the compiler and have it look at the processor, two seconds or so, while something else is awaited."""
     _choose_cache()
-    with warnings.catch_warnings(), contextlib.suppress(ImportError, AttributeError):  # private, of a version
+    with (
+        warnings.catch_warnings(),
+        contextlib.suppress(ImportError, AttributeError),
+    ):  # private, of a version
         warnings.simplefilter("ignore", DeprecationWarning)  # of PyTorch's modules, at one another
         if compiler_problem() is None:
             for module in ("torch._inductor.compile_fx", "torch._dynamo.repro.after_dynamo"):
@@ -94,7 +97,9 @@ class CompiledUpdate:
         return dict(zip(self._names, self._run(*tensors, *self._state), strict=True))
 
     def _compile(self, tensors: tuple[Tensor, ...]) -> Callable[..., Sequence[Tensor]]:
-        log.info("compiling the update: half a minute with settings new to this machine, else seconds")
+        log.info(
+            "compiling the update: half a minute with settings new to this machine, else seconds"
+        )
         start = time.perf_counter()
         with warnings.catch_warnings():  # of the libraries' code, which is not ours to mend
             warnings.simplefilter("ignore")
@@ -150,4 +155,6 @@ def _compile(graph: GraphModule, arguments: list[Any]) -> Callable[..., Sequence
 
 def _choose_cache() -> None:
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rrl"
-    os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(cache / "inductor"))  # PyTorch's own is in /tmp
+    os.environ.setdefault(
+        "TORCHINDUCTOR_CACHE_DIR", str(cache / "inductor")
+    )  # PyTorch's own is in /tmp

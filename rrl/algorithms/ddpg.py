@@ -25,7 +25,9 @@ class DDPG(Agent):
 
     stream = "ddpg"
 
-    def __init__(self, input_sizes: dict[str, int], action_size: int, **hyperparameters: Any) -> None:
+    def __init__(
+        self, input_sizes: dict[str, int], action_size: int, **hyperparameters: Any
+    ) -> None:
         super().__init__(input_sizes, action_size, **hyperparameters)
         actor = self.make_actor(action_size, squash=True)
         (critic,) = self.make_critics(1)

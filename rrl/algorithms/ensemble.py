@@ -84,13 +84,17 @@ class _Ensemble(LossModule):
             values = torch.where(subset.movedim(-1, 0), values, torch.inf)
         return values.min(0)[0]
 
-    def _critics_loss(self, tensordict: TensorDictBase, worth: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+    def _critics_loss(
+        self, tensordict: TensorDictBase, worth: Tensor
+    ) -> tuple[Tensor, dict[str, Tensor]]:
         """The sum of the critics' losses where the next states are worth ``worth`` [S, B]."""
         data = tensordict.clone(False)
         data.set(("next", self.value_estimator.tensor_keys.value), worth.unsqueeze(-1))
         target = self.value_estimator.value_estimate(data).squeeze(-1)
         values = self._values(tensordict, self.qvalue_network_params)  # (N, S, B)
-        loss = distance_loss(values, target.expand_as(values), loss_function=self.loss_function).sum(0)
+        loss = distance_loss(
+            values, target.expand_as(values), loss_function=self.loss_function
+        ).sum(0)
         return loss, {
             "td_error": (values - target).square().detach(),
             "next_state_value": worth,
@@ -118,15 +122,23 @@ class EnsembleTD3Loss(_Ensemble, TD3Loss):
 
     def _worth(self, tensordict: TensorDictBase) -> Tensor:
         following = step_mdp(tensordict).select(*self.actor_network.in_keys, strict=False)
-        with self.target_actor_network_params.to_module(self.actor_network, preserve_module_state=False):
+        with self.target_actor_network_params.to_module(
+            self.actor_network, preserve_module_state=False
+        ):
             following = self.actor_network(following)
         action = self.tensor_keys.action
         following.set(action, following.get(action).clamp(self.min_action, self.max_action))
         return self._least(tensordict, following)
 
     def _values(self, tensordict: TensorDictBase, params: TensorDictParams) -> Tensor:
-        inputs = tensordict.select(*self.qvalue_network.in_keys).expand(self.num_qvalue_nets, *tensordict.batch_size)
-        return self._vmap_qvalue_network00(inputs, params).get(self.tensor_keys.state_action_value).squeeze(-1)
+        inputs = tensordict.select(*self.qvalue_network.in_keys).expand(
+            self.num_qvalue_nets, *tensordict.batch_size
+        )
+        return (
+            self._vmap_qvalue_network00(inputs, params)
+            .get(self.tensor_keys.state_action_value)
+            .squeeze(-1)
+        )
 
 
 class EnsembleSACLoss(_Ensemble, SACLoss):
@@ -145,7 +157,9 @@ class EnsembleSACLoss(_Ensemble, SACLoss):
     def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """Return temperature times log-probability minus the critics' mean."""
         action, log_prob = self._sample(tensordict)
-        acting = tensordict.select(*self.qvalue_network.in_keys, strict=False).set(self.tensor_keys.action, action)
+        acting = tensordict.select(*self.qvalue_network.in_keys, strict=False).set(
+            self.tensor_keys.action, action
+        )
         values = self._values(acting, self._cached_detached_qvalue_params)
         return self._alpha * log_prob - values.mean(0), {"log_prob": log_prob.detach()}
 
@@ -159,7 +173,11 @@ class EnsembleSACLoss(_Ensemble, SACLoss):
 
     def _values(self, tensordict: TensorDictBase, params: TensorDictParams) -> Tensor:
         inputs = tensordict.select(*self.qvalue_network.in_keys, strict=False)
-        return self._vmap_qnetworkN0(inputs, params).get(self.tensor_keys.state_action_value).squeeze(-1)
+        return (
+            self._vmap_qnetworkN0(inputs, params)
+            .get(self.tensor_keys.state_action_value)
+            .squeeze(-1)
+        )
 
 
 def draw_subsets(generators: SlotGenerators, k: int, num_critics: int, size: int) -> Tensor:

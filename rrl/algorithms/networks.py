@@ -36,7 +36,9 @@ class StackedLinear(nn.Module):
     ) -> None:
         super().__init__()
         if len(generators) != num_seeds:
-            raise ValueError(f"expected {num_seeds} generators, one per seed, got {len(generators)}")
+            raise ValueError(
+                f"expected {num_seeds} generators, one per seed, got {len(generators)}"
+            )
         bound = 1.0 / math.sqrt(in_features) if bound is None else bound
 
         def draw(*shape: int) -> nn.Parameter:
@@ -95,8 +97,12 @@ class StackedMLP(nn.Module):
         generators: Sequence[torch.Generator],
     ) -> None:
         super().__init__()
-        if isinstance(hidden, str) or not all(isinstance(width, int) and width > 0 for width in hidden):
-            raise ValueError(f"hidden: expected a list of widths, whole numbers of at least 1, got {hidden!r}")
+        if isinstance(hidden, str) or not all(
+            isinstance(width, int) and width > 0 for width in hidden
+        ):
+            raise ValueError(
+                f"hidden: expected a list of widths, whole numbers of at least 1, got {hidden!r}"
+            )
         self.num_seeds = num_seeds
         self.squash = squash
         layers: list[nn.Module] = []
@@ -107,7 +113,11 @@ class StackedMLP(nn.Module):
                 layers.append(StackedLayerNorm(num_seeds, size))
             layers.append(nn.ReLU())
             width = size
-        layers.append(StackedLinear(num_seeds, width, out_features, bound=last_layer_bound, generators=generators))
+        layers.append(
+            StackedLinear(
+                num_seeds, width, out_features, bound=last_layer_bound, generators=generators
+            )
+        )
         self.layers = nn.Sequential(*layers)
 
     def forward(self, *inputs: Tensor) -> Tensor:

@@ -60,9 +60,13 @@ class SAC(EnsembleAgent):
         **hyperparameters: Any,
     ) -> None:
         super().__init__(input_sizes, action_size, **hyperparameters)
-        check("initial_temperature", initial_temperature, "a number above 0", initial_temperature > 0)
+        check(
+            "initial_temperature", initial_temperature, "a number above 0", initial_temperature > 0
+        )
         self.target_entropy = float(-action_size if target_entropy is None else target_entropy)
-        self.log_temperature = nn.Parameter(torch.full((self.num_seeds, 1), initial_temperature).log())
+        self.log_temperature = nn.Parameter(
+            torch.full((self.num_seeds, 1), initial_temperature).log()
+        )
         self.temperature_optimizer = Adam([self.log_temperature], temperature_lr)
         self.head = GaussianHead(initial_std)
         make_loss = EnsembleSACLoss if self.is_ensemble else SACLoss
@@ -78,7 +82,9 @@ class SAC(EnsembleAgent):
             reduction="none",
             scalar_output_mode="exclude",
         )
-        _ = loss.target_entropy  # a buffer made at first use, which a state_dict must hold from the start
+        _ = (
+            loss.target_entropy
+        )  # a buffer made at first use, which a state_dict must hold from the start
         self.learn_from(loss, loss.qvalue_network_params, loss.actor_network_params)
         self._acting = SlotGenerators(self.seed, self.num_seeds, stream=ACTING)
 
@@ -87,7 +93,12 @@ class SAC(EnsembleAgent):
         return ProbabilisticTensorDictSequential(
             TensorDictModule(nn.Sequential(network, self.head), self.input_keys, ["loc", "scale"]),
             ProbabilisticTensorDictModule(
-                in_keys={"loc": "loc", "scale": "scale", "noise": NOISE, "temperature": TEMPERATURE},
+                in_keys={
+                    "loc": "loc",
+                    "scale": "scale",
+                    "noise": NOISE,
+                    "temperature": TEMPERATURE,
+                },
                 out_keys=[ACTION],
                 distribution_class=SquashedGaussian,
                 return_log_prob=True,
@@ -102,7 +113,9 @@ class SAC(EnsembleAgent):
     @property
     def policy(self) -> TensorDictModuleBase:
         """The stochastic policies of all seeds; deterministic, tanh of the mean, without exploration."""
-        return SquashedGaussianPolicy(self._symmetric(self._actor), self.head, self.input_keys, self._acting)
+        return SquashedGaussianPolicy(
+            self._symmetric(self._actor), self.head, self.input_keys, self._acting
+        )
 
     def wrap(self, actor: StackedMLP | SymmetricActor, seed: int) -> TensorDictModuleBase:
         """Make a stochastic policy with noise of its own."""

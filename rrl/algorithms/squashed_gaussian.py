@@ -38,7 +38,9 @@ class GaussianHead(nn.Module):
         super().__init__()
         low, high = LOG_STD_RANGE
         if not math.exp(low) <= initial_std <= math.exp(high):
-            raise ValueError(f"initial_std: expected {math.exp(low):.4f} to {math.exp(high):.1f}, got {initial_std}")
+            raise ValueError(
+                f"initial_std: expected {math.exp(low):.4f} to {math.exp(high):.1f}, got {initial_std}"
+            )
         self.offset = math.log(initial_std)
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:

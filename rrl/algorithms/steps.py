@@ -41,13 +41,19 @@ class GradientSteps:
         update = partial(_take, steps, keys)
         if self._graphs is None:
             return update(*columns)
-        kind = (tuple(step.__name__ for step in steps), keys, tuple(column.shape for column in columns))
+        kind = (
+            tuple(step.__name__ for step in steps),
+            keys,
+            tuple(column.shape for column in columns),
+        )
         if kind not in self._graphs:
             self._graphs[kind] = CompiledUpdate(update, self._module)
         return self._graphs[kind](*columns)
 
 
-def _take(steps: Sequence[Step], keys: tuple[NestedKey, ...], *columns: Tensor) -> dict[str, Tensor]:
+def _take(
+    steps: Sequence[Step], keys: tuple[NestedKey, ...], *columns: Tensor
+) -> dict[str, Tensor]:
     history: dict[str, list[Tensor]] = {}
     for step, *row in zip(steps, *columns, strict=True):
         batch = TensorDict(dict(zip(keys, row, strict=True)), row[0].shape[:2])

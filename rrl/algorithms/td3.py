@@ -47,7 +47,11 @@ class TwinTD3Loss(EnsembleTD3Loss):
         acting = tensordict.select(*self.actor_network.in_keys, strict=False)
         with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
             acting = self.actor_network(acting)
-        with self.qvalue_network_params[0].detach().to_module(self.qvalue_network, preserve_module_state=False):
+        with (
+            self.qvalue_network_params[0]
+            .detach()
+            .to_module(self.qvalue_network, preserve_module_state=False)
+        ):
             value = self.qvalue_network(acting).get(self.tensor_keys.state_action_value).squeeze(-1)
         return -value, {"state_action_value_actor": value.detach()}
 
@@ -80,11 +84,15 @@ class TD3(EnsembleAgent):
     ) -> None:
         super().__init__(input_sizes, action_size, policy_delay=policy_delay, **hyperparameters)
         check("target_noise", target_noise, "a standard deviation of 0 or more", target_noise >= 0)
-        check("target_noise_clip", target_noise_clip, "a bound of 0 or more", target_noise_clip >= 0)
+        check(
+            "target_noise_clip", target_noise_clip, "a bound of 0 or more", target_noise_clip >= 0
+        )
         check("residual_penalty", residual_penalty, "a weight of 0 or more", residual_penalty >= 0)
         self.target_noise, self.target_noise_clip = target_noise, target_noise_clip
         self.residual_penalty = residual_penalty
-        actor = TensorDictModule(self.make_actor(action_size, squash=True), self.input_keys, [ACTION])
+        actor = TensorDictModule(
+            self.make_actor(action_size, squash=True), self.input_keys, [ACTION]
+        )
         make_loss = EnsembleTD3Loss if self.is_ensemble else TwinTD3Loss
         loss = make_loss(
             TensorDictSequential(actor, TargetSmoothing()),

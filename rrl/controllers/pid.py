@@ -93,7 +93,9 @@ class PIDController(StatefulController):
         error = goal - position
         error_sum = state["error_sum"] + error
         change = torch.where(state["seen"], error - state["last_error"], 0.0)
-        action = error * self._gain + error_sum * self._integral_gain + change * self._derivative_gain
+        action = (
+            error * self._gain + error_sum * self._integral_gain + change * self._derivative_gain
+        )
         clipped = torch.clamp(action, -self._limit, self._limit)
         winds_up = (action != clipped) & (action * error * self._integral_gain > 0)
         self.state = {

@@ -61,7 +61,9 @@ class PolicyController(Controller):
         key_map = {unravel_key(k): unravel_key(v) for k, v in (key_map or {}).items()}
         unknown = [key for key in key_map if key not in self._policy_keys]
         if unknown:
-            raise ValueError(f"key_map names {unknown}, which the policy does not read; it reads {self._policy_keys}.")
+            raise ValueError(
+                f"key_map names {unknown}, which the policy does not read; it reads {self._policy_keys}."
+            )
         if unravel_key(action_key) not in written:
             raise KeyError(f"The policy does not write {action_key!r}; it writes {written}.")
         super().__init__([key_map.get(key, key) for key in self._policy_keys], out_key)

@@ -39,7 +39,9 @@ class ReplayController(StatefulController):
         super().__init__([], out_key)
         tensor = torch.as_tensor(actions, dtype=torch.float32).detach().clone()
         if tensor.ndim != 2 or tensor.numel() == 0:
-            raise ValueError(f"actions must have the shape [T, n_act], none of them 0, got {tuple(tensor.shape)}.")
+            raise ValueError(
+                f"actions must have the shape [T, n_act], none of them 0, got {tuple(tensor.shape)}."
+            )
         if not tensor.isfinite().all():
             raise ValueError("actions must be finite; the sequence holds NaN or infinity.")
         if after_end not in _AFTER_END:

@@ -46,7 +46,9 @@ class SumController(Controller):
             raise ValueError("SumController needs at least one controller, got none.")
         wrong = [type(c).__name__ for c in controllers if not isinstance(c, Controller)]
         if wrong:
-            raise TypeError(f"Controllers were expected, got {wrong}. Wrap a policy in a PolicyController.")
+            raise TypeError(
+                f"Controllers were expected, got {wrong}. Wrap a policy in a PolicyController."
+            )
         if weights is not None and len(weights) != len(controllers):
             raise ValueError(
                 f"One weight a controller was expected: {len(controllers)} controllers, {len(weights)} weights."

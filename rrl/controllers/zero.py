@@ -39,5 +39,7 @@ class ZeroController(Controller):
     def act(self, tensordict: TensorDictBase) -> Tensor:
         """Return zeros ``[*batch, n_act]``."""
         if self.action_size is None:
-            raise RuntimeError("ZeroController has no environment to take the action's size from: pass action_size.")
+            raise RuntimeError(
+                "ZeroController has no environment to take the action's size from: pass action_size."
+            )
         return torch.zeros((*tensordict.batch_size, self.action_size), device=tensordict.device)

@@ -41,12 +41,16 @@ class ActionHistory(ActionTransform, SlotTransform):
 
     """
 
-    def __init__(self, steps: int = 1, out_key: NestedKey | None = None, action_key: NestedKey = ACTION) -> None:
+    def __init__(
+        self, steps: int = 1, out_key: NestedKey | None = None, action_key: NestedKey = ACTION
+    ) -> None:
         if steps < 1 or steps != int(steps):
             raise ValueError(f"steps must be a whole number of at least 1, got {steps!r}.")
         action_key = unravel_key(action_key)
         out_key = unravel_key(out_key or sibling(action_key, PREVIOUS_ACTION))
-        super().__init__(in_keys=[], out_keys=[out_key], in_keys_inv=[action_key], out_keys_inv=[action_key])
+        super().__init__(
+            in_keys=[], out_keys=[out_key], in_keys_inv=[action_key], out_keys_inv=[action_key]
+        )
         self.steps = int(steps)
         self._action_key, self._out_key = action_key, out_key
         self._said: Tensor | None = None  # on its way to the environment
@@ -61,12 +65,18 @@ class ActionHistory(ActionTransform, SlotTransform):
         if said is None or history is None:
             raise RuntimeError("ActionHistory needs a reset before the first step.")
         renewed = torch.cat([history[..., said.shape[-1] :], said.to(history)], -1)
-        return self._remember(next_tensordict, renewed, step_mask(tensordict, next_tensordict.batch_size))
+        return self._remember(
+            next_tensordict, renewed, step_mask(tensordict, next_tensordict.batch_size)
+        )
 
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
         limits = self._limits or self.limits()
         nothing = torch.zeros_like(limits.low).repeat_interleave(self.steps, -1)
-        return self._remember(tensordict_reset, nothing, reset_mask(tensordict, tensordict_reset.batch_size))
+        return self._remember(
+            tensordict_reset, nothing, reset_mask(tensordict, tensordict_reset.batch_size)
+        )
 
     def _reset_on_native_autoreset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -74,11 +84,15 @@ class ActionHistory(ActionTransform, SlotTransform):
         # An environment that reset itself within a step is reset by mask like any other.
         return self._reset(tensordict, tensordict_reset)
 
-    def _remember(self, tensordict: TensorDictBase, history: Tensor, mask: Tensor | None) -> TensorDictBase:
+    def _remember(
+        self, tensordict: TensorDictBase, history: Tensor, mask: Tensor | None
+    ) -> TensorDictBase:
         if mask is not None and self._history is not None:
             history = merge(mask, history, self._history)
         self._history = history
-        return tensordict.set(self._out_key, history.clone())  # whoever changes it leaves the memory alone
+        return tensordict.set(
+            self._out_key, history.clone()
+        )  # whoever changes it leaves the memory alone
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         raise RuntimeError(_NO_TIME)
@@ -95,10 +109,14 @@ class ActionHistory(ActionTransform, SlotTransform):
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the last actions, in the units of the action at this place."""
         if self._out_key in observation_spec.keys(True, True):
-            raise ValueError(f"The observations hold {self._out_key!r} already. Pass another out_key.")
+            raise ValueError(
+                f"The observations hold {self._out_key!r} already. Pass another out_key."
+            )
         limits = self.limits()
         shape = (*limits.shape[:-1], self.steps * limits.shape[-1])
-        observation_spec[self._out_key] = Unbounded(shape=shape, device=limits.low.device, dtype=limits.dtype)
+        observation_spec[self._out_key] = Unbounded(
+            shape=shape, device=limits.low.device, dtype=limits.dtype
+        )
         return observation_spec
 
     def get_extra_state(self) -> dict[str, Any]:

@@ -113,7 +113,9 @@ class ControlNoise(ActionTransform, RandomTransform):
         self._executed = tensordict.get(self._executed_key)
         return next_tensordict.set(self._executed_key, self._executed)
 
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
         batch = tensordict_reset.batch_size
         mask = reset_mask(tensordict, batch)
         self.start_episodes(batch, mask)
@@ -140,7 +142,9 @@ class ControlNoise(ActionTransform, RandomTransform):
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the executed action, in the environment's action units."""
         if self._executed_key in observation_spec.keys(True, True):
-            raise ValueError(f"The observations hold {self._executed_key!r} already. Pass another executed_action_key.")
+            raise ValueError(
+                f"The observations hold {self._executed_key!r} already. Pass another executed_action_key."
+            )
         limits = self.limits()
         observation_spec[self._executed_key] = Unbounded(
             shape=limits.shape, device=limits.low.device, dtype=limits.dtype

@@ -22,9 +22,7 @@ from rrl.transforms.masks import merge, reset_mask, step_mask
 
 __all__ = ["ResidualAction"]
 
-_MISSING_BASE_ACTION = (
-    "reset() and step() write it: give step() what they return (through step_mdp), not an action alone. "
-)
+_MISSING_BASE_ACTION = "reset() and step() write it: give step() what they return (through step_mdp), not an action alone. "
 
 
 class ResidualAction(ActionTransform, SlotTransform):
@@ -75,7 +73,11 @@ class ResidualAction(ActionTransform, SlotTransform):
         action_key = unravel_key(action_key)
         base_action_key = unravel_key(base_action_key or sibling(action_key, BASE_ACTION))
         if not isinstance(controller, Controller):
-            said = base_action_key if base_action_key in getattr(controller, "out_keys", ()) else action_key
+            said = (
+                base_action_key
+                if base_action_key in getattr(controller, "out_keys", ())
+                else action_key
+            )
             controller = PolicyController(controller, action_key=said, out_key=base_action_key)
         super().__init__(
             in_keys=list(controller.in_keys),
@@ -100,7 +102,9 @@ class ResidualAction(ActionTransform, SlotTransform):
         self.scale = per_dimension("scale", scale, minimum=0.0)
         self._span = None
 
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
         if self._limits is None and self.container is not None:
             self.limits()
         mask = reset_mask(tensordict, tensordict_reset.batch_size)
@@ -180,9 +184,13 @@ class ResidualAction(ActionTransform, SlotTransform):
         for key in self.in_keys:
             self.require_spec(observation_spec, key)
         if self._base_key in present:
-            raise ValueError(f"The observations hold {self._base_key!r} already. Pass another base_action_key.")
+            raise ValueError(
+                f"The observations hold {self._base_key!r} already. Pass another base_action_key."
+            )
         limits = self.limits()
-        observation_spec[self._base_key] = Unbounded(shape=limits.shape, device=limits.low.device, dtype=limits.dtype)
+        observation_spec[self._base_key] = Unbounded(
+            shape=limits.shape, device=limits.low.device, dtype=limits.dtype
+        )
         return observation_spec
 
     def _take_limits(self, action_spec: Any) -> ActionLimits:

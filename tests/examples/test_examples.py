@@ -48,7 +48,9 @@ def load(monkeypatch):
 @pytest.mark.parametrize("name", TRAINED)
 def test_example_trains(name, load, tmp_path):
     module = load(name)
-    module.EnvironmentFactory = partial(EnvironmentFactory, max_episode_steps=20)  # of an evaluation
+    module.EnvironmentFactory = partial(
+        EnvironmentFactory, max_episode_steps=20
+    )  # of an evaluation
     result = module.main(tmp_path / "run", **TINY)
     for summary in result.values() if "return" not in result else [result]:
         assert summary["return"] < float("inf")

@@ -92,7 +92,9 @@ def test_state_dict_continues_the_process(kind):
     module.step(3)
     explore(module, 2, 4)
     other.load_state_dict(module.state_dict())
-    td = TensorDict({"action": torch.zeros(2, 3), "is_init": torch.zeros(2, 1, dtype=torch.bool)}, [2])
+    td = TensorDict(
+        {"action": torch.zeros(2, 3), "is_init": torch.zeros(2, 1, dtype=torch.bool)}, [2]
+    )
     for _ in range(3):
         assert torch.equal(module(td.clone())["action"], other(td.clone())["action"])
         module.step()
@@ -100,7 +102,9 @@ def test_state_dict_continues_the_process(kind):
 
 
 @pytest.mark.parametrize("kind", BOTH)
-@pytest.mark.parametrize(("name", "value"), [("sigma", -0.1), ("sigma_end", -0.1), ("decay_steps", 0)])
+@pytest.mark.parametrize(
+    ("name", "value"), [("sigma", -0.1), ("sigma_end", -0.1), ("decay_steps", 0)]
+)
 def test_bad_parameters_are_named(kind, name, value):
     with pytest.raises(ValueError, match=name):
         make(kind, **{name: value})

@@ -12,10 +12,15 @@ from rrl.n_step import STEPS, n_step_transitions
 GAMMA = 0.9
 
 
-def episode(time: int = 8, terminated_at: int | None = None, truncated_at: int | None = None) -> TensorDict:
+def episode(
+    time: int = 8, terminated_at: int | None = None, truncated_at: int | None = None
+) -> TensorDict:
     """One environment [1, T]; the observation counts the steps, the reward of step t is t + 1."""
     count = torch.arange(time + 1, dtype=torch.float32).reshape(1, -1, 1)
-    terminated, truncated = torch.zeros(1, time, 1, dtype=torch.bool), torch.zeros(1, time, 1, dtype=torch.bool)
+    terminated, truncated = (
+        torch.zeros(1, time, 1, dtype=torch.bool),
+        torch.zeros(1, time, 1, dtype=torch.bool),
+    )
     if terminated_at is not None:
         terminated[:, terminated_at] = True
     if truncated_at is not None:

@@ -20,7 +20,12 @@ every_algorithm = pytest.mark.parametrize("algorithm", [TD3, SAC, DDPG])
 
 @pytest.mark.parametrize(
     ("mirrors", "size"),
-    [([LEFT_RIGHT], 2), ([LEFT_RIGHT, FRONT_BACK], 4), ([QUARTER_TURN], 4), ([QUARTER_TURN, LEFT_RIGHT], 8)],
+    [
+        ([LEFT_RIGHT], 2),
+        ([LEFT_RIGHT, FRONT_BACK], 4),
+        ([QUARTER_TURN], 4),
+        ([QUARTER_TURN, LEFT_RIGHT], 8),
+    ],
 )
 def test_mirrors_generate_a_group(mirrors, size):
     symmetry = Symmetry(mirrors)
@@ -31,7 +36,9 @@ def test_mirrors_generate_a_group(mirrors, size):
     assert torch.equal(images[:, 0], x)
     assert len({tuple(image) for image in images[0].tolist()}) == size
     for g in range(size):  # images of an image are the same images
-        assert {tuple(i) for i in symmetry.images(images[:1, g])[0].tolist()} == {tuple(i) for i in images[0].tolist()}
+        assert {tuple(i) for i in symmetry.images(images[:1, g])[0].tolist()} == {
+            tuple(i) for i in images[0].tolist()
+        }
 
 
 def test_the_image_is_what_the_map_says():
@@ -44,7 +51,9 @@ def test_returned_actions_undo_the_image():
     symmetry, action = Symmetry([QUARTER_TURN, LEFT_RIGHT]), torch.randn(6, ACTION)
     every = torch.arange(8).expand(6, 8)
     images = symmetry.reflect_action(action.unsqueeze(1).expand(6, 8, ACTION), every)
-    torch.testing.assert_close(symmetry.return_actions(images), action.unsqueeze(1).expand_as(images))
+    torch.testing.assert_close(
+        symmetry.return_actions(images), action.unsqueeze(1).expand_as(images)
+    )
 
 
 @every_algorithm
@@ -61,7 +70,9 @@ def test_the_policy_does_in_the_image_the_image_of_what_it_does(algorithm, mirro
             for g in range(symmetry.num_images):
                 which = torch.full((len(x),), g)
                 image = deterministic(policy, symmetry.reflect(x, which))
-                torch.testing.assert_close(image, symmetry.reflect_action(action, which), rtol=1e-4, atol=1e-5)
+                torch.testing.assert_close(
+                    image, symmetry.reflect_action(action, which), rtol=1e-4, atol=1e-5
+                )
 
 
 def deterministic(policy, observation):
@@ -74,7 +85,9 @@ def deterministic(policy, observation):
 @every_algorithm
 def test_one_observation_without_batch(algorithm):
     agent = make_agent(algorithm, symmetry=MIRRORS)
-    assert agent.policy_of(0)(TensorDict({"observation": torch.randn(OBSERVATION)}))["action"].shape == (ACTION,)
+    assert agent.policy_of(0)(TensorDict({"observation": torch.randn(OBSERVATION)}))[
+        "action"
+    ].shape == (ACTION,)
 
 
 @every_algorithm
@@ -92,19 +105,27 @@ def test_every_image_is_learned_from_with_its_reward():
     images = MIRRORS.images(data["observation"])
     which = (images == given["observation"].unsqueeze(-2)).all(-1).long().argmax(-1)
     assert torch.equal(given["observation"], MIRRORS.reflect(data["observation"], which))
-    assert torch.equal(given["next", "observation"], MIRRORS.reflect(data["next", "observation"], which))
+    assert torch.equal(
+        given["next", "observation"], MIRRORS.reflect(data["next", "observation"], which)
+    )
     assert torch.equal(given["action"], MIRRORS.reflect_action(data["action"], which))
     assert torch.equal(given["next", "reward"], data["next", "reward"])
-    torch.testing.assert_close(which.flatten().bincount() / which.numel(), torch.full((4,), 0.25), atol=0.06, rtol=0.0)
+    torch.testing.assert_close(
+        which.flatten().bincount() / which.numel(), torch.full((4,), 0.25), atol=0.06, rtol=0.0
+    )
 
 
 @every_algorithm
 def test_a_seed_learns_in_a_stack_what_it_learns_alone(algorithm):
-    stack, alone = (make_agent(algorithm, n, seed=seed, symmetry=MIRRORS) for n, seed in ((3, 5), (1, 6)))
+    stack, alone = (
+        make_agent(algorithm, n, seed=seed, symmetry=MIRRORS) for n, seed in ((3, 5), (1, 6))
+    )
     data = batches(6, 3)
     stack.update(data.clone())
     alone.update(data[:, 1:2].clone())
-    for mine, other in zip(stack.policy_of(1).parameters(), alone.policy_of(0).parameters(), strict=True):
+    for mine, other in zip(
+        stack.policy_of(1).parameters(), alone.policy_of(0).parameters(), strict=True
+    ):
         torch.testing.assert_close(mine, other, rtol=1e-4, atol=1e-5)
 
 
@@ -127,7 +148,10 @@ def test_state_dict_restores_the_next_images():
         ([([1, 2], [])], "each of the numbers"),
         ([], "at least one"),
         ([([1, 2], [1]), ([1], [1])], "same lengths"),
-        ([([2, 3, 4, 5, 1, 7, 8, 6, *range(9, 40), 8 + 32], [1]), ([2, 1, *range(3, 41)], [1])], "at most 64 images"),
+        (
+            [([2, 3, 4, 5, 1, 7, 8, 6, *range(9, 40), 8 + 32], [1]), ([2, 1, *range(3, 41)], [1])],
+            "at most 64 images",
+        ),
     ],
 )
 def test_bad_mirrors_are_named(mirrors, message):
@@ -136,7 +160,9 @@ def test_bad_mirrors_are_named(mirrors, message):
 
 
 def test_a_symmetry_of_another_size_is_named():
-    with pytest.raises(ValueError, match="symmetry: expected maps of 5 numbers of observation and 2 of action"):
+    with pytest.raises(
+        ValueError, match="symmetry: expected maps of 5 numbers of observation and 2 of action"
+    ):
         make_agent(symmetry=Symmetry([([-1, 2], [-1, 2])]))
 
 

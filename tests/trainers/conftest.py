@@ -61,7 +61,9 @@ def settings():
 def make_trainer(factory, settings, tmp_path):
     """Builds a trainer on the drifting point, by default with small networks."""
 
-    def make(run_dir="run", environment=None, agent=None, exploration=None, loggers=None, **changes):
+    def make(
+        run_dir="run", environment=None, agent=None, exploration=None, loggers=None, **changes
+    ):
         environment = environment or factory
         return Trainer(
             settings(**changes),

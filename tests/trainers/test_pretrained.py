@@ -10,7 +10,13 @@ from omegaconf import OmegaConf
 
 from rrl.trainers.configuration import build as assembly
 from rrl.trainers.configuration import checks
-from rrl.trainers.pretrained import chosen, policy_controller, replay_controller, start_from, trained_agent
+from rrl.trainers.pretrained import (
+    chosen,
+    policy_controller,
+    replay_controller,
+    start_from,
+    trained_agent,
+)
 from rrl.trainers.report.summary import write_results
 
 SMALL = [
@@ -28,7 +34,9 @@ SMALL = [
 
 def resolve(*overrides):
     with initialize_config_module("rrl.configs", version_base="1.3"):
-        return OmegaConf.to_container(compose("train", overrides=[*SMALL, *overrides]), resolve=True)
+        return OmegaConf.to_container(
+            compose("train", overrides=[*SMALL, *overrides]), resolve=True
+        )
 
 
 def train(run_dir, *overrides):
@@ -43,7 +51,9 @@ def train(run_dir, *overrides):
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory):
     """Two seeds without a controller."""
-    return train(tmp_path_factory.mktemp("alone"), "arm=rl", "env=insertion-sim", "trainer.num_seeds=2")
+    return train(
+        tmp_path_factory.mktemp("alone"), "arm=rl", "env=insertion-sim", "trainer.num_seeds=2"
+    )
 
 
 @pytest.fixture
@@ -54,7 +64,9 @@ def observed(alone):
 
 
 def test_initial_weights_are_those_of_the_best_seed(alone, observed, tmp_path):
-    config = resolve("arm=rl", "env=insertion-sim", f"init_from.run='{alone}'", "trainer.num_seeds=3")
+    config = resolve(
+        "arm=rl", "env=insertion-sim", f"init_from.run='{alone}'", "trainer.num_seeds=3"
+    )
     assert not checks.problems(config)
     results = json.loads((alone / "results.json").read_text())
     scenario = next(iter(results.values()))
@@ -64,7 +76,10 @@ def test_initial_weights_are_those_of_the_best_seed(alone, observed, tmp_path):
         start_from(trainer.agent, config)
         for k in range(3):
             td = observed[1].select("observation")
-            assert torch.equal(trainer.agent.policy_of(k)(td.clone())["action"], source.policy_of(best)(td)["action"])
+            assert torch.equal(
+                trainer.agent.policy_of(k)(td.clone())["action"],
+                source.policy_of(best)(td)["action"],
+            )
 
 
 def test_as_a_controller_it_acts_as_it_did(alone, observed):
@@ -76,7 +91,9 @@ def test_as_a_controller_it_acts_as_it_did(alone, observed):
 
 
 def test_the_recorded_sequence_repeats_the_episode_in_its_own_environment(alone):
-    config = resolve("env=insertion-sim", "controller=replay", f"controller.run='{alone}'", "arm=controller")
+    config = resolve(
+        "env=insertion-sim", "controller=replay", f"controller.run='{alone}'", "arm=controller"
+    )
     assert not checks.problems(config)
     actions = replay_controller(str(alone), seed=None).actions
     assert actions.shape == (50, 3)
@@ -89,7 +106,10 @@ def test_the_recorded_sequence_repeats_the_episode_in_its_own_environment(alone)
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (["init_from.run=nowhere"], "init_from.run: expected the directory of a training run, got 'nowhere'"),
+        (
+            ["init_from.run=nowhere"],
+            "init_from.run: expected the directory of a training run, got 'nowhere'",
+        ),
         (["controller=policy"], "run: expected the directory of a training run, got None"),
         (["init_from.seed=-1"], "init_from.seed"),
     ],
@@ -100,7 +120,10 @@ def test_a_run_that_is_not_there_is_named(overrides, message):
 
 def test_a_policy_that_does_not_fit_is_refused(alone, tmp_path):
     config = resolve("env=insertion-real", f"init_from.run='{alone}'")
-    with assembly.trainer(config, tmp_path) as trainer, pytest.raises(ValueError, match="give both runs the same env"):
+    with (
+        assembly.trainer(config, tmp_path) as trainer,
+        pytest.raises(ValueError, match="give both runs the same env"),
+    ):
         start_from(trainer.agent, config)
     with pytest.raises(ValueError, match=r"expected one of the run's seeds \[0, 1\], got 5"):
         chosen(yaml.safe_load((alone / "config.yaml").read_text()), alone, 5)

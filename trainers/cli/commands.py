@@ -17,7 +17,15 @@ from ..pretrained import start_from, trained_agent
 from ..report.learning_curve import learning_curve
 from ..report.report import write_report
 from ..report.runs import find_runs
-from ..report.summary import COLUMNS, EPISODE_COLUMNS, Results, episode_rows, rows, terminal_table, write_results
+from ..report.summary import (
+    COLUMNS,
+    EPISODE_COLUMNS,
+    Results,
+    episode_rows,
+    rows,
+    terminal_table,
+    write_results,
+)
 from ..storage.checkpoints import saved_config
 from ..storage.files import write_atomically
 from ..storage.run_files import CONFIG_FILE, METRICS, REPORT, VIDEOS
@@ -47,7 +55,9 @@ def train(config: assembly.Config, run_dir: Path, console: Console, *, resume: b
         _report(config, trainer, results, console)
     except Exception:
         command = f"rrl train resume={shlex.quote(str(run_dir))}"
-        console.print(f"the run is on disk; to go on with it:\n  {command}", highlight=False, soft_wrap=True)
+        console.print(
+            f"the run is on disk; to go on with it:\n  {command}", highlight=False, soft_wrap=True
+        )
         raise
     finally:
         trainer.close()
@@ -61,7 +71,10 @@ def _resume(trainer: Trainer, console: Console) -> bool:
     except FileNotFoundError:
         if trainer.store.log.count:
             raise
-        console.print("the run was stopped before its first checkpoint: starting from the beginning", highlight=False)
+        console.print(
+            "the run was stopped before its first checkpoint: starting from the beginning",
+            highlight=False,
+        )
         return False
 
 
@@ -86,7 +99,9 @@ def _log_results(trainer: Trainer, results: Results, media: Sequence[Path]) -> N
     seeds, steps = trainer.settings.seeds, trainer.env_steps
     for logger in trainer.loggers:
         for path in media:
-            logger.log_file(f"media/{VIDEO if path.suffix in VIDEO_FILES else path.stem}", path, steps)
+            logger.log_file(
+                f"media/{VIDEO if path.suffix in VIDEO_FILES else path.stem}", path, steps
+            )
         logger.log_table("results/success", COLUMNS, rows(results, seeds), steps)
         logger.log_table("results/episodes", EPISODE_COLUMNS, episode_rows(results, seeds), steps)
 
@@ -109,14 +124,18 @@ def render(config: assembly.Config, run_dir: Path, console: Console) -> None:
         console.print(f"  {path}", highlight=False, soft_wrap=True)
 
 
-def _evaluate(config: assembly.Config, run_dir: Path, console: Console) -> tuple[Results, Any, list[int]]:
+def _evaluate(
+    config: assembly.Config, run_dir: Path, console: Console
+) -> tuple[Results, Any, list[int]]:
     assembly.check(config)
     settings = assembly.settings(config)
     agent, path = trained_agent(config, run_dir)
     console.print(f"loaded {path}", highlight=False, soft_wrap=True)
     evaluator = Evaluator(assembly.scenarios(config), settings.evaluation)
     results = {
-        scenario: evaluator.compare(agent, settings.num_seeds, scenario, settings.evaluation.final_episodes)
+        scenario: evaluator.compare(
+            agent, settings.num_seeds, scenario, settings.evaluation.final_episodes
+        )
         for scenario in Progress(console).track(evaluator.scenarios, "evaluating")
     }
     evaluator.close()
@@ -137,7 +156,9 @@ def _video(
         return None
     k = render["seed"]
     if not 0 <= k < settings.num_seeds:
-        raise ValueError(f"render.seed: expected a number below num_seeds ({settings.num_seeds}), got {k}")
+        raise ValueError(
+            f"render.seed: expected a number below num_seeds ({settings.num_seeds}), got {k}"
+        )
     episode = choose_episode(results[scenario][k], render["episode"])
     try:
         return render_comparison(

@@ -67,7 +67,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             return 128 + int(stopped_by)
         if os.environ.get("RRL_TRACEBACK"):
             raise
-        Console(stderr=True).print(f"rrl {command}: {_message(error)}", style="red", highlight=False, markup=False)
+        Console(stderr=True).print(
+            f"rrl {command}: {_message(error)}", style="red", highlight=False, markup=False
+        )
         return 2
     return 0
 
@@ -90,9 +92,15 @@ def _report(arguments: list[str]) -> None:
     chosen = [a.removeprefix("out=") for a in arguments if a.startswith("out=")]
     named = [Path(a).expanduser() for a in arguments if not a.startswith("out=")]
     if not named or any("=" in path.name and not path.exists() for path in named):
-        raise ValueError(f"expected directories of runs, rrl report RUN... [out=FILE], got {arguments}")
+        raise ValueError(
+            f"expected directories of runs, rrl report RUN... [out=FILE], got {arguments}"
+        )
     runs = find_runs(named)
-    out = Path(chosen[-1]).expanduser() if chosen else (runs[0].path if len(runs) == 1 else Path.cwd()) / REPORT
+    out = (
+        Path(chosen[-1]).expanduser()
+        if chosen
+        else (runs[0].path if len(runs) == 1 else Path.cwd()) / REPORT
+    )
     print(f"  {write_report(runs, out)}")
 
 
@@ -100,8 +108,14 @@ def _dashboard(arguments: list[str]) -> None:
     from ..report.dashboard import build
 
     named = dict(a.split("=", 1) for a in arguments if "=" in a)
-    if "entity" not in named or not named.keys() <= {"entity", "project"} or len(named) != len(arguments):
-        raise ValueError(f"expected your W&B user or team, rrl dashboard entity=USER [project=rrl], got {arguments}")
+    if (
+        "entity" not in named
+        or not named.keys() <= {"entity", "project"}
+        or len(named) != len(arguments)
+    ):
+        raise ValueError(
+            f"expected your W&B user or team, rrl dashboard entity=USER [project=rrl], got {arguments}"
+        )
     print(f"  {build(**named).save().url}")
 
 
@@ -110,7 +124,10 @@ def _reproduce(arguments: list[str]) -> None:
     from ..experiments.reproduce import reproduce
 
     names = [a for a in arguments if "=" not in a]
-    changes = {key: yaml.safe_load(value) for key, _, value in (a.partition("=") for a in arguments if "=" in a)}
+    changes = {
+        key: yaml.safe_load(value)
+        for key, _, value in (a.partition("=") for a in arguments if "=" in a)
+    }
     ours, theirs = Path(__file__).parents[2] / USER_CONFIGS, Path.cwd() / USER_CONFIGS
     folders = [folder for folder in (theirs, ours) if folder.is_dir()]
     sys.path.append(str(Path.cwd()))
@@ -169,7 +186,9 @@ def _hydra(command: str, run_dir: Path | None, overrides: list[str]) -> None:
             failures.append(error)  # past Hydra, which would print a line of its own about it
 
     run: Callable[[], None] = hydra.main(version_base="1.3", config_path=None)(job)
-    os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # what Hydra itself raises comes through; main() shows it
+    os.environ.setdefault(
+        "HYDRA_FULL_ERROR", "1"
+    )  # what Hydra itself raises comes through; main() shows it
     run()
     for failure in failures:
         raise failure
@@ -181,7 +200,11 @@ def _user_configs(arguments: list[str]) -> list[str]:
     if str(here) not in sys.path:
         sys.path.append(str(here))  # last: nothing there hides an installed package
     chosen = any(a.startswith(("--config-dir", "-cd")) for a in arguments)
-    return ["--config-dir", str(here / USER_CONFIGS)] if (here / USER_CONFIGS).is_dir() and not chosen else []
+    return (
+        ["--config-dir", str(here / USER_CONFIGS)]
+        if (here / USER_CONFIGS).is_dir() and not chosen
+        else []
+    )
 
 
 def plain_name(name: str) -> str:
@@ -191,7 +214,9 @@ def plain_name(name: str) -> str:
         ValueError: anything but letters, digits and ``. _ + = -``, or a dot at the front.
     """
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._+=-]*", str(name)):
-        raise ValueError(f"name: expected letters, digits and . _ + = - for a directory of that name, got {name!r}")
+        raise ValueError(
+            f"name: expected letters, digits and . _ + = - for a directory of that name, got {name!r}"
+        )
     return name
 
 

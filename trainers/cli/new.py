@@ -30,7 +30,9 @@ def create(name: str, folder: Path) -> list[Path]:
         FileExistsError: if there is something of that name already.
     """
     if not name.isidentifier() or keyword.iskeyword(name) or name in ("rrl", "configs"):
-        raise ValueError(f"expected a name that Python can import, such as my_project, got {name!r}")
+        raise ValueError(
+            f"expected a name that Python can import, such as my_project, got {name!r}"
+        )
     target = folder / name
     if target.exists():
         raise FileExistsError(f"{target} exists already: choose another name")
@@ -41,6 +43,12 @@ def _copy(source: Traversable, target: Path, name: str) -> list[Path]:
     if source.is_file():
         target.parent.mkdir(parents=True, exist_ok=True)
         path = target.with_name(target.name.removesuffix(SUFFIX))
-        path.write_text(source.read_text(encoding="utf-8").replace(PLACEHOLDER, name), encoding="utf-8")
+        path.write_text(
+            source.read_text(encoding="utf-8").replace(PLACEHOLDER, name), encoding="utf-8"
+        )
         return [path]
-    return [p for child in source.iterdir() for p in _copy(child, target / child.name.replace(PLACEHOLDER, name), name)]
+    return [
+        p
+        for child in source.iterdir()
+        for p in _copy(child, target / child.name.replace(PLACEHOLDER, name), name)
+    ]

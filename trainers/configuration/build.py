@@ -62,7 +62,10 @@ def agent(config: Config) -> Any:
 def scenarios(config: Config) -> dict[str, EnvironmentFactory]:
     """The environments to evaluate on: the training environment with some arguments of its base replaced."""
     factory = environment(config)
-    return {name: factory.with_overrides(**(overrides or {})) for name, overrides in config["env"]["scenarios"].items()}
+    return {
+        name: factory.with_overrides(**(overrides or {}))
+        for name, overrides in config["env"]["scenarios"].items()
+    }
 
 
 def loggers(config: Config) -> list[MetricsLogger]:

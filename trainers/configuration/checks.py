@@ -92,7 +92,9 @@ def problems(config: Config) -> list[str]:
         _Root.model_validate(config)
     except ValidationError as error:
         return explain(error)
-    return [*_check_targets(config), *_check_render(config), *_check_init_from(config)] or list(_check_entries(config))
+    return [*_check_targets(config), *_check_render(config), *_check_init_from(config)] or list(
+        _check_entries(config)
+    )
 
 
 def explain(error: ValidationError, prefix: str = "") -> list[str]:
@@ -119,7 +121,9 @@ def _check_targets(config: Config) -> Problems:
     spec = Bounded(-1.0, 1.0, (1, 1), dtype=torch.float32)
     yield from _check_build("controller", config["controller"])
     yield from _check_build("algorithm.agent", config["algorithm"]["agent"], **agent)
-    yield from _check_build("algorithm.exploration", config["algorithm"]["exploration"], spec=spec, num_slots=1, seed=0)
+    yield from _check_build(
+        "algorithm.exploration", config["algorithm"]["exploration"], spec=spec, num_slots=1, seed=0
+    )
     groups = {"disturbance": config.get("disturbance"), "safety": config.get("safety")}
     groups |= {"env.sensing": env.get("sensing"), "logger": config.get("logger")}
     for group, nodes in groups.items():
@@ -188,7 +192,11 @@ def _check_arguments(path: str, node: Target, given: Config | int) -> Problems:
 
 
 def _check_render(config: Config) -> Problems:
-    render, scenarios, seeds = config["render"], config["env"]["scenarios"], config["trainer"]["num_seeds"]
+    render, scenarios, seeds = (
+        config["render"],
+        config["env"]["scenarios"],
+        config["trainer"]["num_seeds"],
+    )
     if render["scenario"] is not None and render["scenario"] not in scenarios:
         yield f"render.scenario: expected one of {', '.join(scenarios)} or null, got {render['scenario']!r}"
     if render["seed"] >= seeds:
@@ -236,7 +244,9 @@ def _check_symmetries(env: Config, sizes: dict[str, int] | None) -> Problems:
             if len(maps[key]) != (sizes or {})[key]:
                 yield f"env.symmetries.{name}.{key}: expected {(sizes or {})[key]} numbers, got {maps[key]}"
                 return
-    unbuilt = EnvironmentFactory(None, None, inputs, action_history=env.get("action_history", 1), symmetries=mirrors)  # type: ignore[arg-type]
+    unbuilt = EnvironmentFactory(
+        None, None, inputs, action_history=env.get("action_history", 1), symmetries=mirrors
+    )  # type: ignore[arg-type]
     try:
         unbuilt.symmetry()
     except ValueError as error:

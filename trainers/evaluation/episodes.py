@@ -58,7 +58,9 @@ class Episodes:
             }
         out |= {f"peak_{name}": float(peak.mean()) for name, peak in self.peaks.items()}
         steps = self.lengths.sum()
-        return out | {f"{SAFETY}_{name}": float(count.sum() / steps) for name, count in self.limited.items()}
+        return out | {
+            f"{SAFETY}_{name}": float(count.sum() / steps) for name, count in self.limited.items()
+        }
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,9 @@ def zero_residual(env: EnvBase) -> TensorDictModule:
 
 
 @torch.no_grad()
-def run_episodes(env: EnvBase, policy: TensorDictModuleBase, num_episodes: int, seed: int, max_steps: int) -> Episodes:
+def run_episodes(
+    env: EnvBase, policy: TensorDictModuleBase, num_episodes: int, seed: int, max_steps: int
+) -> Episodes:
     """Run episodes ``0 .. num_episodes - 1`` of the frozen set that ``seed`` names.
 
     Episode ``i`` starts in the slot seeded ``seed + i``, whatever the batch size, and is the same for every policy.
@@ -155,7 +159,9 @@ def _run_batch(env: EnvBase, policy: TensorDictModuleBase, max_steps: int) -> Ep
                 value = torch.where(running, _column(following, name, slots), -torch.inf)
                 peaks[name] = torch.maximum(peaks.get(name, value), value)
         for name in following.get(SAFETY, {}).keys():  # noqa: SIM118 - a TensorDict's
-            limited[name] = limited.get(name, 0) + (_column(following, (SAFETY, name), slots) & running).long()
+            limited[name] = (
+                limited.get(name, 0) + (_column(following, (SAFETY, name), slots) & running).long()
+            )
         running &= ~_column(following, "done", slots)
         if not running.any():
             break
@@ -182,5 +188,8 @@ def _concatenate(parts: list[Episodes], count: int) -> Episodes:
         np.concatenate(successes)[:count] if successes else None,
         np.concatenate([p.diverged for p in parts])[:count],
         {name: np.concatenate([p.peaks[name] for p in parts])[:count] for name in parts[0].peaks},
-        {name: np.concatenate([p.limited[name] for p in parts])[:count] for name in parts[0].limited},
+        {
+            name: np.concatenate([p.limited[name] for p in parts])[:count]
+            for name in parts[0].limited
+        },
     )

@@ -21,7 +21,9 @@ class Evaluator:
 
     """
 
-    def __init__(self, scenarios: Mapping[str, EnvironmentFactory], settings: EvaluationSettings) -> None:
+    def __init__(
+        self, scenarios: Mapping[str, EnvironmentFactory], settings: EvaluationSettings
+    ) -> None:
         if not scenarios:
             raise ValueError("expected at least one scenario to evaluate on")
         self.scenarios, self.settings = dict(scenarios), settings
@@ -36,7 +38,10 @@ class Evaluator:
     def compare(self, agent: Any, num_seeds: int, scenario: str, episodes: int) -> list[Comparison]:
         """One comparison with the controller per seed."""
         controller = self.controller(scenario, episodes)
-        return [Comparison(self._run(agent.policy_of(k), scenario, episodes), controller) for k in range(num_seeds)]
+        return [
+            Comparison(self._run(agent.policy_of(k), scenario, episodes), controller)
+            for k in range(num_seeds)
+        ]
 
     def controller(self, scenario: str, episodes: int) -> Episodes:
         """The controller alone, run once for each scenario and number of episodes."""

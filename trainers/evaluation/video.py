@@ -43,7 +43,9 @@ def choose_episode(comparison: Comparison, wanted: str | int) -> int:
         return int(comparison.rescues[0]) if len(comparison.rescues) else 0
     count = len(comparison.residual.returns)
     if not isinstance(wanted, int) or not 0 <= wanted < count:
-        raise ValueError(f"render.episode: expected 'rescue' or a number below {count}, got {wanted!r}")
+        raise ValueError(
+            f"render.episode: expected 'rescue' or a number below {count}, got {wanted!r}"
+        )
     return wanted
 
 
@@ -71,7 +73,9 @@ def render_comparison(
     halves = []
     for title, run_policy in (("controller alone", None), ("controller + residual", policy)):
         env = environment.make(1)
-        states, solved = record(env, run_policy or zero_residual(env), seed, environment.max_episode_steps)
+        states, solved = record(
+            env, run_policy or zero_residual(env), seed, environment.max_episode_steps
+        )
         size = {"width": settings["width"], "height": settings["height"]}
         halves.append(_label(renderer(env.base_env, states, **size), title, solved))
         env.close()
@@ -84,7 +88,9 @@ def render_comparison(
 
 
 @torch.no_grad()
-def record(env: Any, policy: TensorDictModuleBase, seed: int, max_steps: int) -> tuple[list[np.ndarray], list[bool]]:
+def record(
+    env: Any, policy: TensorDictModuleBase, seed: int, max_steps: int
+) -> tuple[list[np.ndarray], list[bool]]:
     """Run one episode; the physics states ``[T + 1]`` and whether each was a success."""
     seed_env(env, seed)
     states, solved = [], []
@@ -117,7 +123,9 @@ def _label(frames: np.ndarray, title: str, solved: Sequence[bool]) -> np.ndarray
             text, colour = ("inserted", PASS) if solved[i] else ("failed", FAIL)
             width = draw.textlength(text, font=font) + bar / 1.5
             draw.rectangle((image.width - width, 0, image.width, bar), fill=colour)
-            draw.text((image.width - width / 2, bar / 2), text, font=font, fill="white", anchor="mm")
+            draw.text(
+                (image.width - width / 2, bar / 2), text, font=font, fill="white", anchor="mm"
+            )
         labelled.append(np.asarray(image))
     return np.stack(labelled)
 

@@ -53,15 +53,22 @@ def judge(findings: Findings) -> list[Verdict]:
         try:
             verdicts.append(Verdict(claim, experiment, *test(findings[experiment])))
         except (IndexError, KeyError) as missing:
-            verdicts.append(Verdict(claim, experiment, None, f"not all runs are finished ({missing})"))
+            verdicts.append(
+                Verdict(claim, experiment, None, f"not all runs are finished ({missing})")
+            )
     return verdicts
 
 
 def learns_faster(finding: Finding) -> tuple[bool, str]:
     """Mean return over all evaluations: the intervals over seeds are apart."""
-    residual, alone = (finding.arm(arm)[0].curve("return").values.mean(axis=1) for arm in (RESIDUAL, ALONE))
+    residual, alone = (
+        finding.arm(arm)[0].curve("return").values.mean(axis=1) for arm in (RESIDUAL, ALONE)
+    )
     low, high = mean_interval(residual)[0], mean_interval(alone)[1]
-    return low > high, f"mean return over training: residual {_said(residual)}, RL alone {_said(alone)}"
+    return (
+        low > high,
+        f"mean return over training: residual {_said(residual)}, RL alone {_said(alone)}",
+    )
 
 
 def ends_above_the_controller(finding: Finding) -> tuple[bool, str]:
@@ -76,7 +83,10 @@ def ends_above_the_controller(finding: Finding) -> tuple[bool, str]:
 def stays_level(finding: Finding) -> tuple[bool, str]:
     """From the smallest setting to the largest the controller loses return, the residual a third of that at most."""
     first, last = _ends(finding)
-    lost = {name: float((first.final(name) - last.final(name)).mean()) for name in ("return", "controller_return")}
+    lost = {
+        name: float((first.final(name) - last.final(name)).mean())
+        for name in ("return", "controller_return")
+    }
     falls = lost["controller_return"] > 0.05 * abs(float(first.final("controller_return").mean()))
     text = f"return lost from {first.point.value:g} to {last.point.value:g}: residual {lost['return']:.2f}, "
     text += f"controller {lost['controller_return']:.2f}; {_rates(first, last)}"
@@ -89,7 +99,9 @@ def withstands_noise(finding: Finding) -> tuple[bool, str]:
     before, after = (float(outcome.final("return").mean()) for outcome in (first, last))
     controller = [float(outcome.final("controller_return").mean()) for outcome in (first, last)]
     text = f"return at sigma = {first.point.value:g} and {last.point.value:g}: residual {before:.2f} and {after:.2f}, "
-    return before - after < 0.1 * abs(before), f"{text}controller {controller[0]:.2f} and {controller[1]:.2f}"
+    return before - after < 0.1 * abs(
+        before
+    ), f"{text}controller {controller[0]:.2f} and {controller[1]:.2f}"
 
 
 def solves_misaligned(finding: Finding) -> tuple[bool, str]:
@@ -118,8 +130,13 @@ def learns_under_bias(finding: Finding) -> tuple[bool, str]:
     """At every bias the residual ends at 15 of 20 or more, and not below the controller."""
     said, holds = [], True
     for outcome in finding.arm(RESIDUAL):
-        residual, controller = outcome.final("success").mean(), outcome.final("controller_success").mean()
-        said.append(f"mu = {outcome.point.value:g}: residual {residual:.0%}, controller {controller:.0%}")
+        residual, controller = (
+            outcome.final("success").mean(),
+            outcome.final("controller_success").mean(),
+        )
+        said.append(
+            f"mu = {outcome.point.value:g}: residual {residual:.0%}, controller {controller:.0%}"
+        )
         holds &= bool(residual >= 15 / 20 and residual >= controller)
     return holds, "; ".join(said)
 
@@ -141,17 +158,49 @@ def explores_wider(finding: Finding) -> tuple[bool, str]:
 
 CLAIMS: Sequence[tuple[str, str, Test]] = (
     ("1a. In simulation residual RL learns faster than RL alone", "curves-sim", learns_faster),
-    ("1b. In simulation residual RL ends above the controller", "curves-sim", ends_above_the_controller),
-    ("2a. On the real-like task residual RL learns faster than RL alone", "curves-real", learns_faster),
-    ("2b. On the real-like task residual RL ends above the controller", "curves-real", ends_above_the_controller),
-    ("3. Residual RL stays level as the blocks turn, while the controller falls", "rotation", stays_level),
+    (
+        "1b. In simulation residual RL ends above the controller",
+        "curves-sim",
+        ends_above_the_controller,
+    ),
+    (
+        "2a. On the real-like task residual RL learns faster than RL alone",
+        "curves-real",
+        learns_faster,
+    ),
+    (
+        "2b. On the real-like task residual RL ends above the controller",
+        "curves-real",
+        ends_above_the_controller,
+    ),
+    (
+        "3. Residual RL stays level as the blocks turn, while the controller falls",
+        "rotation",
+        stays_level,
+    ),
     ("4. Residual RL stays level as control noise grows", "noise", withstands_noise),
-    ("5. Residual RL stays level as control bias grows, while the controller falls", "bias", stays_level),
-    ("6a. Misaligned: about 15 of 20 with residual RL, about 2 of 20 by the controller", "table", solves_misaligned),
+    (
+        "5. Residual RL stays level as control bias grows, while the controller falls",
+        "bias",
+        stays_level,
+    ),
+    (
+        "6a. Misaligned: about 15 of 20 with residual RL, about 2 of 20 by the controller",
+        "table",
+        solves_misaligned,
+    ),
     ("6b. Aligned: 20 of 20 with residual RL and by the controller", "table", solves_aligned),
     ("7. Misaligned success grows within 8000 samples", "success-real", success_grows),
-    ("8. Control bias does not stop learning on the real-like task", "bias-real", learns_under_bias),
-    ("9. On a policy from simulation residual RL succeeds in under 1000 steps", "sim-to-real", transfers_quickly),
+    (
+        "8. Control bias does not stop learning on the real-like task",
+        "bias-real",
+        learns_under_bias,
+    ),
+    (
+        "9. On a policy from simulation residual RL succeeds in under 1000 steps",
+        "sim-to-real",
+        transfers_quickly,
+    ),
     ("10. RL alone visits a wider spread of states", "exploration", explores_wider),
 )
 
@@ -171,7 +220,9 @@ def _ends(finding: Finding) -> tuple[Outcome, Outcome]:
 
 def _rates(first: Outcome, last: Outcome) -> str:
     rates = [
-        f"{100 * o.final(entry).mean():.0f} %" for entry in ("success", "controller_success") for o in (first, last)
+        f"{100 * o.final(entry).mean():.0f} %"
+        for entry in ("success", "controller_success")
+        for o in (first, last)
     ]
     return f"success: residual {rates[0]} to {rates[1]}, controller {rates[2]} to {rates[3]}"
 

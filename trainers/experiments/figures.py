@@ -18,7 +18,16 @@ from .spec import Experiment
 from .spread import variances
 from .tables import success_rows
 
-COLOURS = (RESIDUAL_COLOUR, "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#7a6a00", "#4d4d4d", "#8c2d04")
+COLOURS = (
+    RESIDUAL_COLOUR,
+    "#e69f00",
+    "#009e73",
+    "#cc79a7",
+    "#56b4e9",
+    "#7a6a00",
+    "#4d4d4d",
+    "#8c2d04",
+)
 """Apart for the colour-blind (after Okabe and Ito), and from the controller's."""
 MARKERS = "osD^vPX*"
 INTERVAL = "mean and 95 % confidence interval (Student's t)"
@@ -55,7 +64,9 @@ def _controllers(axis: Axes, finding: Finding, entry: str, unit: float) -> None:
         curve = finding.outcomes[i].curve(f"controller_{entry}").scaled(unit)
         colour = CONTROLLER_COLOUR if len(having) == 1 else COLOURS[i % len(COLOURS)]
         label = "controller alone" if len(having) == 1 else "the controller below it alone"
-        axis.plot(curve.steps, curve.mean, "--", color=colour, lw=1.4, label=label if n == 0 else None)
+        axis.plot(
+            curve.steps, curve.mean, "--", color=colour, lw=1.4, label=label if n == 0 else None
+        )
 
 
 def _sweep(experiment: Experiment, finding: Finding) -> Figure:
@@ -84,7 +95,16 @@ def _spread(experiment: Experiment, finding: Finding) -> Figure:
         low, high = np.array([mean_interval(column) for column in values.T]).T
         mean = values.mean(axis=0)
         error = np.array([mean - np.maximum(low, 0.0), high - mean])
-        axis.bar(at, mean, 0.9 * width, yerr=error, capsize=3, color=COLOURS[i], alpha=0.75, label=outcome.point.arm)
+        axis.bar(
+            at,
+            mean,
+            0.9 * width,
+            yerr=error,
+            capsize=3,
+            color=COLOURS[i],
+            alpha=0.75,
+            label=outcome.point.arm,
+        )
         for row in values:
             axis.plot(at, row, ".", color="black", ms=4, alpha=0.6)
     axis.set_xticks(range(4), ["x", "y", "z", "sum"])
@@ -99,14 +119,19 @@ def _table(experiment: Experiment, finding: Finding) -> Figure:
     figure = Figure(figsize=(11.0, 1.1 + 0.4 * len(rows)), layout="constrained")
     axis = figure.subplots()
     axis.axis("off")
-    table = axis.table(rows, colLabels=header, loc="center", cellLoc="left", colLoc="left", edges="horizontal")
+    table = axis.table(
+        rows, colLabels=header, loc="center", cellLoc="left", colLoc="left", edges="horizontal"
+    )
     table.auto_set_font_size(False)
     table.set_fontsize(9)
     table.auto_set_column_width(range(len(header)))
     table.scale(1, 1.6)
     first = finding.outcomes[0]
     said = f"{len(first.seeds)} seeds, the same {first.episodes} episodes for each and for the controller"
-    figure.suptitle(f"{experiment.title} ({experiment.paper})\n{said}; intervals of Clopper and Pearson", fontsize=10)
+    figure.suptitle(
+        f"{experiment.title} ({experiment.paper})\n{said}; intervals of Clopper and Pearson",
+        fontsize=10,
+    )
     return figure
 
 
@@ -126,16 +151,27 @@ def _finish(figure: Figure, axes: Sequence[Axes], experiment: Experiment, findin
         axis.grid(alpha=0.25)
         axis.spines[["top", "right"]].set_visible(False)
     handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(3, len(labels)), frameon=False, fontsize=9)
+    figure.legend(
+        handles,
+        labels,
+        loc="outside lower center",
+        ncols=min(3, len(labels)),
+        frameon=False,
+        fontsize=9,
+    )
     counts = sorted({len(outcome.seeds) for outcome in finding.outcomes})
     seeds = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
-    figure.suptitle(f"{experiment.title} ({experiment.paper})\n{seeds} seeds, {INTERVAL}", fontsize=10)
+    figure.suptitle(
+        f"{experiment.title} ({experiment.paper})\n{seeds} seeds, {INTERVAL}", fontsize=10
+    )
 
 
 def _label(experiment: Experiment, outcome: Outcome) -> str:
     if experiment.sweep is None:
         return outcome.point.arm
-    return f"{outcome.point.arm}, {experiment.sweep.key.rpartition('.')[2]} = {outcome.point.value:g}"
+    return (
+        f"{outcome.point.arm}, {experiment.sweep.key.rpartition('.')[2]} = {outcome.point.value:g}"
+    )
 
 
 def _band(axis: Axes, curve: Curve, colour: str, label: str, entry: str) -> None:
@@ -146,7 +182,9 @@ def _band(axis: Axes, curve: Curve, colour: str, label: str, entry: str) -> None
     axis.plot(curve.steps, curve.mean, color=colour, lw=2, label=label)
 
 
-def _errors(axis: Axes, outcomes: Sequence[Outcome], entry: str, unit: float, label: str, **look: Any) -> None:
+def _errors(
+    axis: Axes, outcomes: Sequence[Outcome], entry: str, unit: float, label: str, **look: Any
+) -> None:
     values = [outcome.final(entry) * unit for outcome in outcomes]
     mean = np.array([v.mean() for v in values])
     low, high = np.array([mean_interval(v) for v in values]).T

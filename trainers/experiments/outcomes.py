@@ -58,7 +58,9 @@ class Outcome:
     def final(self, entry: str, scenario: str | None = None) -> Floats:
         """One entry of the final evaluation's summary, by seed ``[S]``."""
         by_seed = {seed: run.results for run in self.runs for seed in run.seeds}
-        return np.array([by_seed[seed][scenario or self.followed][str(seed)][entry] for seed in self.seeds])
+        return np.array(
+            [by_seed[seed][scenario or self.followed][str(seed)][entry] for seed in self.seeds]
+        )
 
     def knows(self, entry: str) -> bool:
         """Whether the final evaluation has that entry."""
@@ -97,7 +99,11 @@ def gather(points: Sequence[Point], store: Store) -> Findings:
     found: dict[str, list[Outcome]] = {}
     for point in points:
         outcomes = found.setdefault(point.experiment, [])
-        runs = [run for run in store.runs(point.key) if run.finished and set(run.seeds) & set(point.seeds)]
+        runs = [
+            run
+            for run in store.runs(point.key)
+            if run.finished and set(run.seeds) & set(point.seeds)
+        ]
         if runs and not point.whole:
             outcomes.append(Outcome(point, tuple(Run(run.path, run.name) for run in runs)))
     return {name: Finding(name, tuple(outcomes)) for name, outcomes in found.items()}

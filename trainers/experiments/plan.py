@@ -94,13 +94,17 @@ class Job:
         return self.total_steps * len(self.run.seeds)
 
 
-def plan_points(experiments: Sequence[Experiment], settings: Settings, compose: Compose) -> list[Point]:
+def plan_points(
+    experiments: Sequence[Experiment], settings: Settings, compose: Compose
+) -> list[Point]:
     """Every arm at every setting of every experiment, sources first.
 
     Raises:
         ValueError: an experiment without values at this scale, or an unknown source.
     """
-    return [point for experiment in experiments for point in _points_of(experiment, settings, compose)]
+    return [
+        point for experiment in experiments for point in _points_of(experiment, settings, compose)
+    ]
 
 
 def plan_jobs(points: Sequence[Point], store: Store, stack: int, workers: int) -> list[Job]:
@@ -137,28 +141,47 @@ def quoted(path: Path) -> str:
 
 def _points_of(experiment: Experiment, settings: Settings, compose: Compose) -> list[Point]:
     scale = settings.scales[settings.scale]
-    common = (*settings.overrides, *scale.overrides, *experiment.overrides, *experiment.scales.get(settings.scale, ()))
+    common = (
+        *settings.overrides,
+        *scale.overrides,
+        *experiment.overrides,
+        *experiment.scales.get(settings.scale, ()),
+    )
     sweep = experiment.sweep
     if sweep and settings.scale not in sweep.values:
         raise ValueError(f"{experiment.name}: sweep.values: expected values for {settings.scale!r}")
     seeds = tuple(range(scale.seeds))
 
-    def point(arm: str, overrides: Overrides, sources: Mapping[str, Point], value: float | None = None) -> Point:
+    def point(
+        arm: str, overrides: Overrides, sources: Mapping[str, Point], value: float | None = None
+    ) -> Point:
         setting = (f"{sweep.key}={value}",) if sweep and value is not None else ()
         overrides = (*common, *overrides, *setting)
         names = [name for override in overrides for name in SOURCE.findall(override)]
         if unknown := [name for name in names if name not in sources]:
-            raise ValueError(f"{experiment.name}: unknown source {unknown[0]!r}; it has {sorted(sources)}")
+            raise ValueError(
+                f"{experiment.name}: unknown source {unknown[0]!r}; it has {sorted(sources)}"
+            )
         config = compose(overrides)
         used = {name: sources[name] for name in names}
-        return Point(experiment.name, arm, value, _key(config, used), overrides, config, seeds, used)
+        return Point(
+            experiment.name, arm, value, _key(config, used), overrides, config, seeds, used
+        )
 
     sources: dict[str, Point] = {}
     for name, overrides in experiment.sources.items():
         made = point(name, overrides, sources)
         few = seeds[: scale.stack]
         sources[name] = Point(
-            made.experiment, name, None, made.key, made.overrides, made.config, few, made.sources, whole=True
+            made.experiment,
+            name,
+            None,
+            made.key,
+            made.overrides,
+            made.config,
+            few,
+            made.sources,
+            whole=True,
         )
     values = sweep.values[settings.scale] if sweep else (None,)
     arms = [point(arm, o, sources, value) for value in values for arm, o in experiment.arms.items()]
@@ -166,8 +189,14 @@ def _points_of(experiment: Experiment, settings: Settings, compose: Compose) -> 
 
 
 def _key(config: Mapping[str, Any], sources: Mapping[str, Point]) -> str:
-    kept = {k: v for k, v in leaves(config).items() if not any(fnmatchcase(k, pattern) for pattern in NOT_IDENTITY)}
-    text = SOURCE.sub(lambda found: f"run:{sources[found[1]].key}", json.dumps(kept, sort_keys=True))
+    kept = {
+        k: v
+        for k, v in leaves(config).items()
+        if not any(fnmatchcase(k, pattern) for pattern in NOT_IDENTITY)
+    }
+    text = SOURCE.sub(
+        lambda found: f"run:{sources[found[1]].key}", json.dumps(kept, sort_keys=True)
+    )
     return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 

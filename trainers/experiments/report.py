@@ -39,7 +39,10 @@ def write_report(
     _claims(page, verdicts)
     if video is not None:
         page.section("One episode, twice")
-        page.video(video, "The same frozen episode: the controller alone fails, with the learned residual it succeeds.")
+        page.video(
+            video,
+            "The same frozen episode: the controller alone fails, with the learned residual it succeeds.",
+        )
     for experiment in experiments:
         _experiment(page, experiment, findings[experiment.name], figures[experiment.name])
     _failures(page, ending)
@@ -67,8 +70,14 @@ def _experiment(page: Page, experiment: Experiment, finding: Finding, figure: Pa
     if experiment.sweep:
         for arm in finding.arms:
             outcomes = finding.arm(arm)
-            said = "; ".join(f"{e} {overall_iqm(outcomes, e)}" for e in ("return", "success") if outcomes[0].knows(e))
-            page.text(f"{arm}, all settings together, IQM with bootstrap stratified by setting: {said}.")
+            said = "; ".join(
+                f"{e} {overall_iqm(outcomes, e)}"
+                for e in ("return", "success")
+                if outcomes[0].knows(e)
+            )
+            page.text(
+                f"{arm}, all settings together, IQM with bootstrap stratified by setting: {said}."
+            )
     page.text(f"Again: `rrl reproduce {experiment.name}`.")
 
 
@@ -79,12 +88,16 @@ def _failures(page: Page, ending: Ending) -> None:
     for job in ending.failed:
         page.details(job.run.name, tail(job.run, 60))
     for job in ending.blocked:
-        page.text(f"`{job.run.name}` was not started: it needs {', '.join(run.name for run in job.needs)}.")
+        page.text(
+            f"`{job.run.name}` was not started: it needs {', '.join(run.name for run in job.needs)}."
+        )
 
 
 def _configurations(page: Page, experiments: Sequence[Experiment], findings: Findings) -> None:
     page.section("Configurations")
-    page.text("Each run can be made again alone, with the command that its configuration begins with.")
+    page.text(
+        "Each run can be made again alone, with the command that its configuration begins with."
+    )
     shown = set()
     for experiment in experiments:
         for outcome in findings[experiment.name].outcomes:
@@ -93,4 +106,6 @@ def _configurations(page: Page, experiments: Sequence[Experiment], findings: Fin
                     continue
                 shown.add(run.path)
                 command = shlex.join(["rrl", "train", *recorded_overrides(run.path)])
-                page.details(run.label, f"{command}\n\n{yaml.safe_dump(run.config, sort_keys=False)}")
+                page.details(
+                    run.label, f"{command}\n\n{yaml.safe_dump(run.config, sort_keys=False)}"
+                )

@@ -53,7 +53,9 @@ def reproduce(
     experiments = load_experiments(names, folders)
     store = Store(Path(settings.out))
     planning = Interruption("stopping after the plan")
-    with planning.listening():  # a signal in the middle of Hydra's work would end as an error of Hydra's
+    with (
+        planning.listening()
+    ):  # a signal in the middle of Hydra's work would end as an error of Hydra's
         points = plan_points(experiments, settings, compose)
     planning.check()
     launcher = launchers.make(settings.launcher, settings.workers)
@@ -62,8 +64,12 @@ def reproduce(
         _announce(jobs, store, launcher.slots, console)
         ending = run_jobs(jobs, store, launcher, Display(console))
     except Interrupted:
-        command = shlex.join(["rrl", "reproduce", *names, *(f"{key}={value}" for key, value in changes.items())])
-        console.print(f"stopped; what was done is in {store.out}; to go on:\n  {command}", soft_wrap=True)
+        command = shlex.join(
+            ["rrl", "reproduce", *names, *(f"{key}={value}" for key, value in changes.items())]
+        )
+        console.print(
+            f"stopped; what was done is in {store.out}; to go on:\n  {command}", soft_wrap=True
+        )
         raise
     finally:
         launcher.close()
@@ -94,7 +100,9 @@ def _show(
     console: Console,
 ) -> Path:
     """Draw and report what is finished."""
-    findings: Findings = {name: finding for name, finding in gather(points, store).items() if finding.outcomes}
+    findings: Findings = {
+        name: finding for name, finding in gather(points, store).items() if finding.outcomes
+    }
     shown = [experiment for experiment in experiments if experiment.name in findings]
     figures = {e.name: draw(e, findings[e.name], store.out / "figures") for e in shown}
     verdicts = judge(findings)
@@ -113,18 +121,29 @@ def _verdict_table(verdicts: Sequence[Verdict]) -> Table:
         table.add_column(column)
     for verdict in verdicts:
         style = {True: "green", False: "red", None: "dim"}[verdict.holds]
-        table.add_row(verdict.claim, f"[{style}]{verdict.word}[/]", verdict.numbers.replace("[", "\\["))
+        table.add_row(
+            verdict.claim, f"[{style}]{verdict.word}[/]", verdict.numbers.replace("[", "\\[")
+        )
     return table
 
 
 def _complain(ending: Ending, console: Console) -> None:
     """Name the runs that failed, each with the end of its log."""
     for job in ending.failed:
-        console.print(f"\nFAILED {job.run.name}: {job.run.log}", style="red", highlight=False, soft_wrap=True)
+        console.print(
+            f"\nFAILED {job.run.name}: {job.run.log}", style="red", highlight=False, soft_wrap=True
+        )
         console.print(tail(job.run), highlight=False, markup=False, soft_wrap=True)
     for job in ending.blocked:
         needs = ", ".join(run.name for run in job.needs)
-        console.print(f"\nNOT STARTED {job.run.name}: it needs {needs}", style="red", highlight=False, soft_wrap=True)
+        console.print(
+            f"\nNOT STARTED {job.run.name}: it needs {needs}",
+            style="red",
+            highlight=False,
+            soft_wrap=True,
+        )
     if ending.failed or ending.blocked:
         count = len(ending.failed) + len(ending.blocked)
-        raise RuntimeError(f"{count} runs are missing, {len(ending.failed)} failed; the same command tries them again")
+        raise RuntimeError(
+            f"{count} runs are missing, {len(ending.failed)} failed; the same command tries them again"
+        )

@@ -110,12 +110,19 @@ def load_experiments(names: Sequence[str], folders: Sequence[Path]) -> list[Expe
     for folder in reversed(folders):
         known |= {path.stem: path for path in sorted((folder / FOLDER).glob("*.yaml"))}
     if unknown := [name for name in names if name not in known]:
-        raise ValueError(f"unknown experiment {', '.join(unknown)}; choose from {', '.join(sorted(known))}")
+        raise ValueError(
+            f"unknown experiment {', '.join(unknown)}; choose from {', '.join(sorted(known))}"
+        )
     found = {name: _read(name, known[name]) for name in dict.fromkeys(names or known)}
     for experiment in list(found.values()):
         if experiment.runs_of and experiment.runs_of not in known:
-            raise ValueError(f"{experiment.name}: runs_of: unknown experiment {experiment.runs_of!r}")
-    return [_with_runs(e, _read(e.runs_of, known[e.runs_of])) if e.runs_of else e for e in found.values()]
+            raise ValueError(
+                f"{experiment.name}: runs_of: unknown experiment {experiment.runs_of!r}"
+            )
+    return [
+        _with_runs(e, _read(e.runs_of, known[e.runs_of])) if e.runs_of else e
+        for e in found.values()
+    ]
 
 
 def load_settings(folders: Sequence[Path], changes: dict[str, Any]) -> Settings:
@@ -138,7 +145,9 @@ def _with_runs(experiment: Experiment, other: Experiment) -> Experiment:
 
 
 def _read(name: str, path: Path) -> Experiment:
-    return _validated(Experiment, {"name": name, **yaml.safe_load(path.read_text(encoding="utf-8"))}, name)
+    return _validated(
+        Experiment, {"name": name, **yaml.safe_load(path.read_text(encoding="utf-8"))}, name
+    )
 
 
 def _validated(kind: Any, values: Any, name: str) -> Any:

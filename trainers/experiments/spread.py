@@ -25,7 +25,9 @@ def spatial_variance(run: Run) -> dict[int, NDArray[np.float64]]:
     """
     inputs, sizes = run.config["env"]["inputs"], entries(run.config["env"]["base"])
     if POSITION not in inputs or sizes is None:
-        raise ValueError(f"{run.path}: expected {POSITION!r} among the inputs {list(inputs)} of an environment of ours")
+        raise ValueError(
+            f"{run.path}: expected {POSITION!r} among the inputs {list(inputs)} of an environment of ours"
+        )
     keys = list(inputs)
     first = sum(sizes[key] for key in keys[: keys.index(POSITION)])
     columns = slice(first, first + sizes[POSITION])

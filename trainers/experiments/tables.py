@@ -42,14 +42,27 @@ def success_rows(experiment: Experiment, finding: Finding) -> Table:
 def final_rows(experiment: Experiment, finding: Finding) -> Table:
     """Final return and success of every arm at every setting, with mean and interquartile mean over seeds."""
     setting = _setting(experiment)
-    header = ["arm", *setting, "seeds", "return: mean [95 % CI]", "return: IQM [bootstrap 95 %]", "controller's return"]
-    header += ["success [%]: mean [95 % CI]", "success [%]: IQM [bootstrap 95 %]", "controller's success [%]"]
+    header = [
+        "arm",
+        *setting,
+        "seeds",
+        "return: mean [95 % CI]",
+        "return: IQM [bootstrap 95 %]",
+        "controller's return",
+    ]
+    header += [
+        "success [%]: mean [95 % CI]",
+        "success [%]: IQM [bootstrap 95 %]",
+        "controller's success [%]",
+    ]
     return header, [_final_row(outcome, bool(setting)) for outcome in finding.outcomes]
 
 
 def overall_iqm(outcomes: Sequence[Outcome], entry: str) -> str:
     """Interquartile mean over seeds and settings, resampled within each setting."""
-    return _iqm([outcome.final(entry) for outcome in outcomes], 100.0 if entry.endswith("success") else 1.0)
+    return _iqm(
+        [outcome.final(entry) for outcome in outcomes], 100.0 if entry.endswith("success") else 1.0
+    )
 
 
 def _setting(experiment: Experiment) -> list[str]:
@@ -62,7 +75,9 @@ def _success_row(outcome: Outcome, scenario: str, with_setting: bool) -> list[st
     rates = outcome.final("success", scenario)
     solved, trials = round(float(rates.sum()) * count), count * len(rates)
     controller = round(float(outcome.final("controller_success", scenario)[0]) * count)
-    rescued, broken = (int(outcome.final(entry, scenario).sum()) for entry in ("rescues", "regressions"))
+    rescued, broken = (
+        int(outcome.final(entry, scenario).sum()) for entry in ("rescues", "regressions")
+    )
     return [
         scenario,
         outcome.point.arm,
@@ -78,14 +93,22 @@ def _success_row(outcome: Outcome, scenario: str, with_setting: bool) -> list[st
 
 
 def _final_row(outcome: Outcome, with_setting: bool) -> list[str]:
-    cells = [outcome.point.arm, *([f"{outcome.point.value:g}"] if with_setting else []), str(len(outcome.seeds))]
+    cells = [
+        outcome.point.arm,
+        *([f"{outcome.point.value:g}"] if with_setting else []),
+        str(len(outcome.seeds)),
+    ]
     for entry, unit in (("return", 1.0), ("success", 100.0)):
         if not outcome.knows(entry):
             return [*cells, "", "", ""]
         values = outcome.final(entry)
         bounds = (0.0, 100.0) if entry == "success" else (-np.inf, np.inf)
         mean = f"{values.mean() * unit:.2f} {_interval(mean_interval(values), unit, bounds)}"
-        controller = "none" if outcome.acts_alone else f"{outcome.final(f'controller_{entry}').mean() * unit:.2f}"
+        controller = (
+            "none"
+            if outcome.acts_alone
+            else f"{outcome.final(f'controller_{entry}').mean() * unit:.2f}"
+        )
         cells += [mean, _iqm([values], unit), controller]
     return cells
 

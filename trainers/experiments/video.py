@@ -28,9 +28,16 @@ def rescue_video(findings: Findings, console: Console) -> Path | None:
     if not run.videos:
         console.print(f"rendering an episode of {run.label}", highlight=False, soft_wrap=True)
         command = ["render", f"run={run.path}", "render.enabled=true", f"render.seed={k}"]
-        spawn([*command, f"trainer.evaluation.final_episodes={EPISODES}"], run.path / "render.txt").wait()
+        spawn(
+            [*command, f"trainer.evaluation.final_episodes={EPISODES}"], run.path / "render.txt"
+        ).wait()
     if not run.videos:
-        console.print(f"no video: see {run.path / 'render.txt'}", style="yellow", highlight=False, soft_wrap=True)
+        console.print(
+            f"no video: see {run.path / 'render.txt'}",
+            style="yellow",
+            highlight=False,
+            soft_wrap=True,
+        )
         return None
     return run.videos[0]
 

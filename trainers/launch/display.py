@@ -9,7 +9,14 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from ..experiments.plan import Job
 from ..loggers import metrics
@@ -46,7 +53,9 @@ class Display:
         )
         with self._bars:
             total = sum(job.work for job in jobs)
-            self._all = self._bars.add_task("", total=total or None, completed=self._ended_work, status="")
+            self._all = self._bars.add_task(
+                "", total=total or None, completed=self._ended_work, status=""
+            )
             self.refresh()
             yield
 
@@ -54,7 +63,9 @@ class Display:
         """Add a run's bar."""
         if not self.console.is_terminal:
             self.console.print(f"started  {job.run.name}", highlight=False, soft_wrap=True)
-        self._jobs[self._bars.add_task(job.run.name, total=job.total_steps or None, status="")] = job
+        self._jobs[self._bars.add_task(job.run.name, total=job.total_steps or None, status="")] = (
+            job
+        )
 
     def ended(self, job: Job, done: bool) -> None:
         """Remove a run's bar."""
@@ -79,7 +90,9 @@ class Display:
             if success is not None:
                 self._success[job.run.path] = success
             known = self._success.get(job.run.path)
-            status = f"{steps} of {job.total_steps} steps" + (f", success {known:.0%}" if known is not None else "")
+            status = f"{steps} of {job.total_steps} steps" + (
+                f", success {known:.0%}" if known is not None else ""
+            )
             self._bars.update(task, completed=steps, status=status)
             work += steps * len(job.run.seeds)
         failed = f", {self._failed} failed" if self._failed else ""
@@ -96,7 +109,9 @@ def latest(run_dir: Path) -> tuple[int, float | None]:
             continue
         steps = int(cells[0])
         group, _, rest = cells[2].partition("/")
-        followed = success.get(cells[1], (-1, 0.0))[0] < steps  # the first scenario of an evaluation
+        followed = (
+            success.get(cells[1], (-1, 0.0))[0] < steps
+        )  # the first scenario of an evaluation
         if followed and group == metrics.EVALUATION and rest.endswith("/success"):
             success[cells[1]] = steps, float(cells[3])
     last = max((at for at, _ in success.values()), default=0)

@@ -97,16 +97,25 @@ class RayLauncher:
 
     def start(self, arguments: Sequence[str], log: Path) -> Handle:
         """Submit a task."""
-        return _Task(self._ray, self._task.remote(list(arguments), str(log), str(Path.cwd()), sys.path))
+        return _Task(
+            self._ray, self._task.remote(list(arguments), str(log), str(Path.cwd()), sys.path)
+        )
 
     def close(self) -> None:
         """Disconnect; a cluster that was started here ends."""
         self._ray.shutdown()
 
 
-def spawn(arguments: Sequence[str], log: Path, cwd: str | None = None, path: Sequence[str] = ()) -> subprocess.Popen:
+def spawn(
+    arguments: Sequence[str], log: Path, cwd: str | None = None, path: Sequence[str] = ()
+) -> subprocess.Popen:
     """A process that runs ``rrl`` with one thread, and ends when this one does."""
-    variables = {**os.environ, "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+    variables = {
+        **os.environ,
+        "OMP_NUM_THREADS": "1",
+        "MKL_NUM_THREADS": "1",
+        "PYTHONUNBUFFERED": "1",
+    }
     if path:
         variables["PYTHONPATH"] = os.pathsep.join(p for p in path if p)
     command = [sys.executable, "-m", "rrl.trainers.launch.worker", str(os.getpid()), *arguments]
@@ -148,8 +157,14 @@ class _Task:
             return None
         try:
             return int(self._ray.get(self._reference))
-        except self._ray.exceptions.RayError as error:  # a task that was cancelled before it started, or a lost node
-            return 128 + signal.SIGTERM if isinstance(error, self._ray.exceptions.TaskCancelledError) else 1
+        except (
+            self._ray.exceptions.RayError
+        ) as error:  # a task that was cancelled before it started, or a lost node
+            return (
+                128 + signal.SIGTERM
+                if isinstance(error, self._ray.exceptions.TaskCancelledError)
+                else 1
+            )
 
     def stop(self) -> None:
         self._ray.cancel(self._reference, recursive=False)
@@ -160,7 +175,9 @@ class _Task:
 
 def _run(arguments: Sequence[str], log: str, cwd: str, path: Sequence[str]) -> int:
     """A Ray task: run the command to its end; a cancelled one passes the request on and waits for the checkpoint."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # Ray cancels by it; below nohup it would be ignored
+    signal.signal(
+        signal.SIGINT, signal.default_int_handler
+    )  # Ray cancels by it; below nohup it would be ignored
     process = spawn(arguments, Path(log), cwd, path)
     try:
         while process.poll() is None:  # a wait without an end would not see the request

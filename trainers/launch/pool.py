@@ -113,6 +113,8 @@ def _stop(running: dict[Handle, Job]) -> None:
 def tail(run: StoredRun, lines: int = 15) -> str:
     """The end of a run's log."""
     try:
-        return "\n".join(run.log.read_text(encoding="utf-8", errors="replace").splitlines()[-lines:])
+        return "\n".join(
+            run.log.read_text(encoding="utf-8", errors="replace").splitlines()[-lines:]
+        )
     except OSError as error:
         return str(error)

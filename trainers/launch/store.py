@@ -67,7 +67,9 @@ class StoredRun:
         """Whether the final evaluation of every seed is there."""
         try:
             results = json.loads((self.path / RESULTS).read_text(encoding="utf-8"))
-            return bool(results) and all(str(seed) in scenario for scenario in results.values() for seed in self.seeds)
+            return bool(results) and all(
+                str(seed) in scenario for scenario in results.values() for seed in self.seeds
+            )
         except (OSError, ValueError):
             return False
 
@@ -95,7 +97,12 @@ class Store:
     def register(self, run: StoredRun, overrides: Sequence[str]) -> None:
         """Write a run's record, before it starts."""
         run.path.mkdir(parents=True, exist_ok=True)
-        record = {"version": VERSION, "key": run.key, "seeds": list(run.seeds), "overrides": list(overrides)}
+        record = {
+            "version": VERSION,
+            "key": run.key,
+            "seeds": list(run.seeds),
+            "overrides": list(overrides),
+        }
         write_atomically(run.path / RECORD, json.dumps(record, indent=1) + "\n")
 
 
@@ -107,5 +114,7 @@ def recorded_overrides(run_dir: Path) -> list[str]:
 def _read(path: Path) -> StoredRun | None:
     record = json.loads(path.read_text(encoding="utf-8"))
     if record["version"] != VERSION:
-        raise ValueError(f"{path} has version {record['version']}, this code reads {VERSION}: choose another out=")
+        raise ValueError(
+            f"{path} has version {record['version']}, this code reads {VERSION}: choose another out="
+        )
     return StoredRun(path.parent, record["key"], tuple(record["seeds"]))

@@ -27,7 +27,9 @@ class MetricsLogger(ABC):
     """
 
     @abstractmethod
-    def start(self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int) -> None:
+    def start(
+        self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int
+    ) -> None:
         """Open the sink; forget what was logged after ``env_steps``."""
 
     @abstractmethod
@@ -58,7 +60,9 @@ class Guarded(MetricsLogger):
         self.logger = logger
         self._state: str = "idle"
 
-    def start(self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int) -> None:
+    def start(
+        self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int
+    ) -> None:
         """Open the sink."""
         self._state = "running"
         self._try("start", run_dir, config, seeds, env_steps)

@@ -18,7 +18,9 @@ class CSVLogger(MetricsLogger):
 
     FILE = METRICS
 
-    def start(self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int) -> None:
+    def start(
+        self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int
+    ) -> None:
         """Open the file; a resumed run keeps the rows up to ``env_steps``."""
         path = run_dir / self.FILE
         self.seeds = seeds

@@ -15,12 +15,16 @@ from .metrics import Values
 class TensorBoardLogger(MetricsLogger):
     """Event files under ``tensorboard/``: the mean over seeds, and each seed of a stack beside it."""
 
-    def start(self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int) -> None:
+    def start(
+        self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int
+    ) -> None:
         """Open the event file; TensorBoard drops what lies after ``env_steps``."""
         from torch.utils.tensorboard import SummaryWriter
 
         self.seeds = seeds
-        self.writer = SummaryWriter(str(run_dir / "tensorboard"), purge_step=env_steps + 1 if env_steps else None)
+        self.writer = SummaryWriter(
+            str(run_dir / "tensorboard"), purge_step=env_steps + 1 if env_steps else None
+        )
 
     def log(self, values: Values, env_steps: int) -> None:
         """Write scalars."""

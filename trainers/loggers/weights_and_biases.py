@@ -49,7 +49,9 @@ class WandbLogger(MetricsLogger):
         self.project, self.online, self.name = project, online, name
         self.group, self.job_type, self.tags = group, job_type, list(tags)
 
-    def start(self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int) -> None:
+    def start(
+        self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int
+    ) -> None:
         """Start or continue the W&B run."""
         import wandb
 
@@ -79,7 +81,9 @@ class WandbLogger(MetricsLogger):
         except Exception as error:
             if not self.online:
                 raise
-            _log.warning("W&B cannot be reached (%s); logging offline, `wandb sync` uploads it later", error)
+            _log.warning(
+                "W&B cannot be reached (%s); logging offline, `wandb sync` uploads it later", error
+            )
             if wandb.run is None:
                 wandb.teardown()  # the failed attempt holds on to the run's id
             self.run = wandb.init(mode="offline", **arguments)
@@ -101,7 +105,9 @@ class WandbLogger(MetricsLogger):
         """Log a table."""
         import wandb
 
-        table = wandb.Table(columns=list(columns), data=[list(row) for row in rows], allow_mixed_types=True)
+        table = wandb.Table(
+            columns=list(columns), data=[list(row) for row in rows], allow_mixed_types=True
+        )
         self.run.log({STEP_AXIS: env_steps, name: table})
 
     def finish(self) -> None:

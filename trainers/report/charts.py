@@ -34,7 +34,9 @@ def curves(runs: Sequence[Run], panels: Sequence[Panel]) -> go.Figure | None:
     if not shown:
         return None
     rows = -(-len(shown) // COLUMNS)
-    figure = make_subplots(rows, COLUMNS, subplot_titles=[p.title for p in shown], vertical_spacing=0.28 / rows)
+    figure = make_subplots(
+        rows, COLUMNS, subplot_titles=[p.title for p in shown], vertical_spacing=0.28 / rows
+    )
     named: set[str] = set()
     for i, panel in enumerate(shown):
         place = {"row": i // COLUMNS + 1, "col": i % COLUMNS + 1}
@@ -60,8 +62,12 @@ def time_split(runs: Sequence[Run]) -> go.Figure | None:
 
 def _stacked(labels: Sequence[str], parts: Mapping[str, Sequence[float]], title: str) -> go.Figure:
     """Horizontal bars, one per label, made of named parts."""
-    figure = go.Figure([go.Bar(y=list(labels), x=list(x), name=name, orientation="h") for name, x in parts.items()])
-    figure.update_layout(barmode="stack", xaxis_title=title, yaxis_autorange="reversed", legend_traceorder="normal")
+    figure = go.Figure(
+        [go.Bar(y=list(labels), x=list(x), name=name, orientation="h") for name, x in parts.items()]
+    )
+    figure.update_layout(
+        barmode="stack", xaxis_title=title, yaxis_autorange="reversed", legend_traceorder="normal"
+    )
     return _styled(figure, 160 + 34 * len(labels))
 
 
@@ -71,7 +77,14 @@ def _styled(figure: go.Figure, height: int) -> go.Figure:
         height=height,
         hovermode="closest",
         template="none",
-        legend={"orientation": "h", "yref": "container", "y": 0.995, "yanchor": "top", "x": 0, "xanchor": "left"},
+        legend={
+            "orientation": "h",
+            "yref": "container",
+            "y": 0.995,
+            "yanchor": "top",
+            "x": 0,
+            "xanchor": "left",
+        },
         margin={"l": 56, "r": 16, "t": 70, "b": 48},
     )
     return figure
@@ -93,25 +106,42 @@ def _traces(runs: Sequence[Run], panel: Panel) -> list[go.Scatter]:
     traces = [
         trace
         for k, run, c in lines
-        for trace in _run_traces(run, _to_the_end(c, end), COLOURS[k % len(COLOURS)], lambda x: np.clip(x, low, high))
+        for trace in _run_traces(
+            run, _to_the_end(c, end), COLOURS[k % len(COLOURS)], lambda x: np.clip(x, low, high)
+        )
     ]
     return traces + (_controllers(runs, panel, end) if panel.controller else [])
 
 
-def _run_traces(run: Run, c: Curve, colour: str, clip: Callable[[Floats], Floats]) -> list[go.Scatter]:
+def _run_traces(
+    run: Run, c: Curve, colour: str, clip: Callable[[Floats], Floats]
+) -> list[go.Scatter]:
     dash = "dot" if run.config["arm"] == "controller" else "solid"
     meta = {"Run": run.label}
-    mean = _line(c.steps, c.mean, run.label, run.label, {"color": colour, "width": 2.5, "dash": dash})
+    mean = _line(
+        c.steps, c.mean, run.label, run.label, {"color": colour, "width": 2.5, "dash": dash}
+    )
     mean.update(meta=meta | {"Show": "mean"}, zorder=1)
     if len(c.seeds) < 2:
         return [mean]
     low, high = map(clip, c.band())
-    band = _line(np.append(c.steps, c.steps[::-1]), np.append(low, high[::-1]), "", run.label, {"width": 0})
-    band.update(fill="toself", fillcolor=_transparent(colour, 0.16), hoverinfo="skip", hovertemplate=None)
+    band = _line(
+        np.append(c.steps, c.steps[::-1]), np.append(low, high[::-1]), "", run.label, {"width": 0}
+    )
+    band.update(
+        fill="toself", fillcolor=_transparent(colour, 0.16), hoverinfo="skip", hovertemplate=None
+    )
     band.update(meta=meta | {"Show": "95 % band"})
     thin = {"color": _transparent(colour, 0.45), "width": 0.9}
     seeds = [
-        _line(c.steps, values, f"{run.label}, seed {seed}", run.label, thin, meta=meta | {"Show": f"seed {seed}"})
+        _line(
+            c.steps,
+            values,
+            f"{run.label}, seed {seed}",
+            run.label,
+            thin,
+            meta=meta | {"Show": f"seed {seed}"},
+        )
         for seed, values in zip(c.seeds, c.values, strict=True)
     ]
     return [mean, band, *seeds]
@@ -122,21 +152,38 @@ def _controllers(runs: Sequence[Run], panel: Panel, end: float) -> list[go.Scatt
     groups: dict[str, list[Run]] = {}
     for run in runs:
         if run.config["arm"] == "residual" and run.curve(panel.controller):
-            groups.setdefault(repr([run.config.get(k) for k in ("env", "controller", "disturbance")]), []).append(run)
+            groups.setdefault(
+                repr([run.config.get(k) for k in ("env", "controller", "disturbance")]), []
+            ).append(run)
     traces = []
     for group in groups.values():
         level = max(group, key=lambda run: run.env_steps).curve(panel.controller)
         assert level is not None
         c = _to_the_end(level.scaled(panel.unit), end)
-        name = "controller alone" if len(groups) == 1 else f"controller alone ({', '.join(r.label for r in group)})"
+        name = (
+            "controller alone"
+            if len(groups) == 1
+            else f"controller alone ({', '.join(r.label for r in group)})"
+        )
         style = {"color": CONTROLLER_COLOUR, "width": 2, "dash": "dash"}
         traces.append(_line(c.steps, c.mean, name, name, style, meta={"Show": "controller"}))
     return traces
 
 
-def _line(x: Floats, y: Floats, name: str, group: str, style: dict[str, Any], **entries: Any) -> go.Scatter:
+def _line(
+    x: Floats, y: Floats, name: str, group: str, style: dict[str, Any], **entries: Any
+) -> go.Scatter:
     hover = "%{y:.4g} after %{x} steps"
-    return go.Scatter(x=x, y=y, name=name, legendgroup=group, line=style, mode="lines", hovertemplate=hover, **entries)
+    return go.Scatter(
+        x=x,
+        y=y,
+        name=name,
+        legendgroup=group,
+        line=style,
+        mode="lines",
+        hovertemplate=hover,
+        **entries,
+    )
 
 
 def _to_the_end(c: Curve, end: float) -> Curve:

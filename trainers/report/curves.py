@@ -53,7 +53,9 @@ class Curve:
         starts = np.arange(0, len(self.steps), every)
         counts = np.diff([*starts, len(self.steps)])
         ends = starts + counts - 1
-        return Curve(self.seeds, self.steps[ends], np.add.reduceat(self.values, starts, axis=1) / counts)
+        return Curve(
+            self.seeds, self.steps[ends], np.add.reduceat(self.values, starts, axis=1) / counts
+        )
 
 
 def curve(series: Series) -> Curve:

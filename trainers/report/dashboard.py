@@ -50,7 +50,9 @@ def build(entity: str, project: str = "rrl") -> Workspace:
         import wandb_workspaces.reports.v2 as blocks
         import wandb_workspaces.workspaces as ws
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError("the W&B dashboard needs an extra: pip install 'rrl[dashboard]'") from error
+        raise ModuleNotFoundError(
+            "the W&B dashboard needs an extra: pip install 'rrl[dashboard]'"
+        ) from error
 
     def section(title: str, panels: Sequence[Any], columns: int = 2, **settings: Any) -> Section:
         layout = ws.SectionLayoutSettings(columns=columns, rows=-(-len(panels) // columns))
@@ -60,7 +62,9 @@ def build(entity: str, project: str = "rrl") -> Workspace:
         section(title, [blocks.LinePlot(**line_plot(panel)) for panel in panels], is_open=True)
         for title, panels in GROUPS
     ]
-    groups = [blocks.LinePlot(**_over_steps(title, f"^{prefix}")) for title, prefix in WHOLE.items()]
+    groups = [
+        blocks.LinePlot(**_over_steps(title, f"^{prefix}")) for title, prefix in WHOLE.items()
+    ]
     shown = [
         blocks.MediaBrowser(title="videos and curves", media_keys=list(MEDIA)),
         *(blocks.WeavePanelSummaryTable(table_name=name) for name in TABLES),

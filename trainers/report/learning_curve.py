@@ -55,7 +55,9 @@ def learning_curve(run_dir: Path, scenario: str, out: Path) -> Path:
     return out
 
 
-def _draw_panel(axis: Axes, record: Mapping[str, Series], scenario: str, metric: str, unit: float) -> None:
+def _draw_panel(
+    axis: Axes, record: Mapping[str, Series], scenario: str, metric: str, unit: float
+) -> None:
     steps, values = _table(record[metrics.name(metrics.EVALUATION, scenario, metric)])
     values = values * unit
     low, high = np.array([mean_interval(column) for column in values.T]).T
@@ -65,7 +67,9 @@ def _draw_panel(axis: Axes, record: Mapping[str, Series], scenario: str, metric:
     if len(values) > 1:
         axis.plot(steps, values.T, color=RESIDUAL_COLOUR, linewidth=0.6, alpha=0.45)
     axis.plot(steps, values.mean(0), color=RESIDUAL_COLOUR, linewidth=2, label="residual RL")
-    _, controller = _table(record[metrics.name(metrics.EVALUATION, scenario, f"controller_{metric}")])
+    _, controller = _table(
+        record[metrics.name(metrics.EVALUATION, scenario, f"controller_{metric}")]
+    )
     axis.plot(
         steps,
         controller.mean(0) * unit,

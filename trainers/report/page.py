@@ -62,9 +62,13 @@ class Page:
         """
         for row in rows:
             if len(row) != len(header):
-                raise ValueError(f"table: expected {len(header)} cells {list(header)}, got {len(row)}: {list(row)}")
+                raise ValueError(
+                    f"table: expected {len(header)} cells {list(header)}, got {len(row)}: {list(row)}"
+                )
         head = "".join(f"<th>{_text(cell)}</th>" for cell in header)
-        body = "\n".join("<tr>" + "".join(f"<td>{_text(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+        body = "\n".join(
+            "<tr>" + "".join(f"<td>{_text(cell)}</td>" for cell in row) + "</tr>" for row in rows
+        )
         self._blocks.append(
             f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>\n{body}\n</tbody></table></div>'
         )
@@ -75,7 +79,9 @@ class Page:
         Raises:
             ValueError: a file of another kind.
         """
-        self._figure(f'<img alt="{html.escape(caption)}" src="{_data_uri(Path(path), "image")}">', caption)
+        self._figure(
+            f'<img alt="{html.escape(caption)}" src="{_data_uri(Path(path), "image")}">', caption
+        )
 
     def video(self, path: Path | str, caption: str = "") -> None:
         """Add a video (``.mp4``, ``.webm``) with controls, or a ``.gif`` that plays by itself.
@@ -87,13 +93,20 @@ class Page:
             self.image(path, caption)
             return
         source = _data_uri(Path(path), "video")
-        self._figure(f'<video controls loop muted playsinline preload="auto" src="{source}"></video>', caption)
+        self._figure(
+            f'<video controls loop muted playsinline preload="auto" src="{source}"></video>',
+            caption,
+        )
 
     def chart(self, figure: Figure, caption: str = "") -> None:
         """Add an interactive Plotly figure; background, text and grid follow the reader's light or dark theme."""
         self._charts += 1
-        content = figure.to_json().replace("<", "\\u003c")  # nothing in it can close the script element
-        self._figure(f'<div class="chart"></div><script type="application/json">{content}</script>', caption)
+        content = figure.to_json().replace(
+            "<", "\\u003c"
+        )  # nothing in it can close the script element
+        self._figure(
+            f'<div class="chart"></div><script type="application/json">{content}</script>', caption
+        )
 
     def details(self, title: str, text: str) -> None:
         """Add preformatted text that a click unfolds."""
@@ -103,7 +116,10 @@ class Page:
 
     def render(self) -> str:
         """The page as HTML."""
-        contents = "\n".join(f'<li><a href="#section-{i}">{_text(t)}</a></li>' for i, t in enumerate(self._sections, 1))
+        contents = "\n".join(
+            f'<li><a href="#section-{i}">{_text(t)}</a></li>'
+            for i, t in enumerate(self._sections, 1)
+        )
         return Template(_resource("page.html")).substitute(
             title=html.escape(self.title),
             contents=contents,

@@ -42,8 +42,12 @@ LEARNING = (
     _evaluated("return", "return of an episode"),
 )
 CHANGES = (
-    _evaluated("rescue_rate", "rescued: only the residual solves them [%]", rate=True, paired=False),
-    _evaluated("regression_rate", "broken: only the controller solves them [%]", rate=True, paired=False),
+    _evaluated(
+        "rescue_rate", "rescued: only the residual solves them [%]", rate=True, paired=False
+    ),
+    _evaluated(
+        "regression_rate", "broken: only the controller solves them [%]", rate=True, paired=False
+    ),
 )
 SHARES = (
     Panel("action/residual_share", "residual's share of the action [%]", 100.0, RATE),

@@ -52,7 +52,16 @@ def write_report(runs: Sequence[Run], out: Path) -> Path:
 
 def _overview(page: Page, runs: Sequence[Run]) -> None:
     page.section("Runs")
-    header = ["run", "arm", "environment", "algorithm", "disturbance", "seeds", "steps", "directory"]
+    header = [
+        "run",
+        "arm",
+        "environment",
+        "algorithm",
+        "disturbance",
+        "seeds",
+        "steps",
+        "directory",
+    ]
     page.table(header, [_description(run) for run in runs])
 
 
@@ -64,7 +73,16 @@ def _description(run: Run) -> list[str]:
     learner = config["algorithm"]["agent"]["_target_"].rpartition(".")[2] if total else "none"
     seeds = ", ".join(map(str, run.seeds))
     disturbed = ", ".join(disturbances) or "none"
-    return [run.label, config["arm"], config["env"]["name"], learner, disturbed, seeds, steps, str(run.path)]
+    return [
+        run.label,
+        config["arm"],
+        config["env"]["name"],
+        learner,
+        disturbed,
+        seeds,
+        steps,
+        str(run.path),
+    ]
 
 
 def _results(page: Page, runs: Sequence[Run]) -> None:
@@ -84,9 +102,14 @@ def _results(page: Page, runs: Sequence[Run]) -> None:
             "broken: episodes that only the residual or only the controller solves, mean of seeds."
         )
         entries = [e for e in QUANTITIES if any(e in seeds[0] for _, _, seeds in finished)]
-        rows = [[name, run.label, *(_quantity(seeds, entry) for entry in entries)] for name, run, seeds in finished]
+        rows = [
+            [name, run.label, *(_quantity(seeds, entry) for entry in entries)]
+            for name, run, seeds in finished
+        ]
         page.table(["scenario", "run", *(QUANTITIES[entry] for entry in entries)], rows)
-        page.text("The controller's mean over the episodes, and the residual's, which is also the mean of seeds.")
+        page.text(
+            "The controller's mean over the episodes, and the residual's, which is also the mean of seeds."
+        )
     for run in runs:
         if not run.results:
             page.text(f"`{run.label}` has no final evaluation yet.")
@@ -97,7 +120,11 @@ def _success(run: Run, seeds: Sequence[Mapping[str, float]]) -> list[str]:
     controller, mean, each, *changes = cells(seeds)
     if run.config["arm"] == "controller":
         return [controller, *("" for _ in (mean, each, *changes))]
-    return ["", mean, each, *("" for _ in changes)] if run.config["arm"] == "rl" else [controller, mean, each, *changes]
+    return (
+        ["", mean, each, *("" for _ in changes)]
+        if run.config["arm"] == "rl"
+        else [controller, mean, each, *changes]
+    )
 
 
 def _quantity(seeds: Sequence[Mapping[str, float]], entry: str) -> str:
@@ -113,11 +140,27 @@ def _curves(page: Page, runs: Sequence[Run]) -> None:
         "The last point of a finished run is its final evaluation, which may have more episodes than those before."
     )
     sections = (
-        ("Learning", LEARNING, f"Evaluation on frozen episodes during training, scenario {followed}. {band}"),
-        ("Rescues and regressions", CHANGES, "Share of the evaluation's episodes, paired with the controller alone."),
-        ("Controller and residual", SHARES, "While exploring: how the two share the executed action."),
+        (
+            "Learning",
+            LEARNING,
+            f"Evaluation on frozen episodes during training, scenario {followed}. {band}",
+        ),
+        (
+            "Rescues and regressions",
+            CHANGES,
+            "Share of the evaluation's episodes, paired with the controller alone.",
+        ),
+        (
+            "Controller and residual",
+            SHARES,
+            "While exploring: how the two share the executed action.",
+        ),
         ("Contact", CONTACT, f"Means over the evaluation's episodes, scenario {followed}."),
-        ("Experience", _panels(runs, metrics.TRAIN), "What the exploring policy meets, per collection."),
+        (
+            "Experience",
+            _panels(runs, metrics.TRAIN),
+            "What the exploring policy meets, per collection.",
+        ),
         ("Losses", _panels(runs, metrics.LOSS), "Means over the updates of a round."),
         ("Safety limits", _safety(runs), "Steps in which a limit changed the action."),
     )
@@ -136,20 +179,34 @@ def _curves(page: Page, runs: Sequence[Run]) -> None:
 def _panels(runs: Sequence[Run], group: str) -> list[Panel]:
     """A panel for every metric of a group."""
     names = dict.fromkeys(name for run in runs for name in run.metrics_of(group))
-    return [Panel(name, name.partition("/")[2].replace("/", ": ").replace("_", " ")) for name in names]
+    return [
+        Panel(name, name.partition("/")[2].replace("/", ": ").replace("_", " ")) for name in names
+    ]
 
 
 def _safety(runs: Sequence[Run]) -> list[Panel]:
-    limits = dict.fromkeys(name.partition("/")[2] for run in runs for name in run.metrics_of(metrics.SAFETY))
-    kinds = (("training", f"{metrics.SAFETY}/"), ("evaluation", f"{metrics.EVALUATION}/{FOLLOWED}/{metrics.SAFETY}_"))
-    return [Panel(prefix + limit, f"{limit}, {kind} [%]", 100.0, RATE) for limit in limits for kind, prefix in kinds]
+    limits = dict.fromkeys(
+        name.partition("/")[2] for run in runs for name in run.metrics_of(metrics.SAFETY)
+    )
+    kinds = (
+        ("training", f"{metrics.SAFETY}/"),
+        ("evaluation", f"{metrics.EVALUATION}/{FOLLOWED}/{metrics.SAFETY}_"),
+    )
+    return [
+        Panel(prefix + limit, f"{limit}, {kind} [%]", 100.0, RATE)
+        for limit in limits
+        for kind, prefix in kinds
+    ]
 
 
 def _time(page: Page, runs: Sequence[Run]) -> None:
     figure = charts.time_split(runs)
     if figure is not None:
         page.section("Time")
-        page.chart(figure, "Where the time of all seeds together went, summed over what is logged of the run.")
+        page.chart(
+            figure,
+            "Where the time of all seeds together went, summed over what is logged of the run.",
+        )
 
 
 def _videos(page: Page, runs: Sequence[Run]) -> None:
@@ -172,16 +229,23 @@ def _configuration(page: Page, runs: Sequence[Run]) -> None:
     page.section("Configuration")
     if len(runs) > 1:
         page.text("What differs:")
-        page.table(["key", *(run.label for run in runs)], _differing([leaves(run.config) for run in runs]))
+        page.table(
+            ["key", *(run.label for run in runs)], _differing([leaves(run.config) for run in runs])
+        )
     for run in runs:
-        page.details(f"Whole configuration of {run.label}", yaml.safe_dump(run.config, sort_keys=False))
+        page.details(
+            f"Whole configuration of {run.label}", yaml.safe_dump(run.config, sort_keys=False)
+        )
 
 
 def _versions(page: Page, runs: Sequence[Run]) -> None:
     page.section("Versions")
     packages = list(dict.fromkeys(name for run in runs for name in run.versions))
     if packages:
-        page.table(["", *(run.label for run in runs)], [[p, *(r.versions.get(p, "") for r in runs)] for p in packages])
+        page.table(
+            ["", *(run.label for run in runs)],
+            [[p, *(r.versions.get(p, "") for r in runs)] for p in packages],
+        )
     else:
         page.text("Not recorded by these runs.")
 

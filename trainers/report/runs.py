@@ -66,7 +66,10 @@ class Run:
     @property
     def env_steps(self) -> int:
         """Environment steps of one seed, as far as they are logged."""
-        return max((points[-1][0] for series in self.record.values() for points in series.values()), default=0)
+        return max(
+            (points[-1][0] for series in self.record.values() for points in series.values()),
+            default=0,
+        )
 
     @property
     def videos(self) -> list[Path]:
@@ -97,7 +100,9 @@ def find_runs(paths: Sequence[Path]) -> list[Run]:
     for path in paths:
         below = [path] if (path / CONFIG_FILE).is_file() else _below(path)
         if not below:
-            raise FileNotFoundError(f"{path}: no {CONFIG_FILE}; expected the directory of a run, or a folder of runs")
+            raise FileNotFoundError(
+                f"{path}: no {CONFIG_FILE}; expected the directory of a run, or a folder of runs"
+            )
         found += below
     found = list(dict.fromkeys(p.resolve() for p in found))
     return [Run(path, label) for path, label in zip(found, _labels(found), strict=True)]
@@ -106,7 +111,11 @@ def find_runs(paths: Sequence[Path]) -> list[Run]:
 def _below(folder: Path) -> list[Path]:
     """Directories of runs, without the command line's hidden copy of the configuration as it was composed."""
     parents = sorted(path.parent for path in folder.rglob(CONFIG_FILE))
-    return [path for path in parents if not any(part.startswith(".") for part in path.relative_to(folder).parts)]
+    return [
+        path
+        for path in parents
+        if not any(part.startswith(".") for part in path.relative_to(folder).parts)
+    ]
 
 
 def _labels(paths: Sequence[Path]) -> list[str]:

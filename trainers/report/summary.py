@@ -50,7 +50,11 @@ OUTCOMES: Mapping[tuple[bool | None, ...], str] = {
 
 def rows(results: Results, seeds: Sequence[int]) -> list[list[str]]:
     """One row of text per scenario, for ``COLUMNS``; returns stand in where the environment knows no success."""
-    summaries = {name: [c.summary() for c in comparisons] for name, comparisons in results.items() if comparisons}
+    summaries = {
+        name: [c.summary() for c in comparisons]
+        for name, comparisons in results.items()
+        if comparisons
+    }
     return [[name, *cells(of_seeds)] for name, of_seeds in summaries.items()]
 
 
@@ -91,7 +95,9 @@ def _episodes(comparison: Comparison) -> Iterator[list[Any]]:
     pair = comparison.controller, comparison.residual
     for i in range(len(comparison.residual.returns)):
         solved = [None if e.success is None else bool(e.success[i]) for e in pair]
-        forces = [float(e.peaks["contact_force"][i]) if "contact_force" in e.peaks else None for e in pair]
+        forces = [
+            float(e.peaks["contact_force"][i]) if "contact_force" in e.peaks else None for e in pair
+        ]
         yield [OUTCOMES.get(tuple(solved)), *solved, *(float(e.returns[i]) for e in pair), *forces]
 
 
@@ -133,7 +139,10 @@ def caption(results: Results, seeds: Sequence[int]) -> str:
 def write_results(results: Results, seeds: Sequence[int], run_dir: Path) -> None:
     """Write ``results.json`` (every summary of every seed) and ``results.md`` (the table)."""
     content = {
-        scenario: {str(seed): comparison.summary() for seed, comparison in zip(seeds, comparisons, strict=True)}
+        scenario: {
+            str(seed): comparison.summary()
+            for seed, comparison in zip(seeds, comparisons, strict=True)
+        }
         for scenario, comparisons in results.items()
     }
     (run_dir / "results.json").write_text(json.dumps(content, indent=2) + "\n")

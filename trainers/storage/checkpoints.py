@@ -132,7 +132,9 @@ class Checkpoints:
             shutil.rmtree(path, ignore_errors=True)
 
 
-def newest_whole(run_dir: Path, accept: Callable[[Note], None] = lambda note: None) -> tuple[Path, Note, list[Path]]:
+def newest_whole(
+    run_dir: Path, accept: Callable[[Note], None] = lambda note: None
+) -> tuple[Path, Note, list[Path]]:
     """The newest checkpoint of a run whose checksums are right, its note, and the newer ones that are torn.
 
     Args:
@@ -158,8 +160,13 @@ def newest_whole(run_dir: Path, accept: Callable[[Note], None] = lambda note: No
             log.warning("torn checkpoint %s; going back to %s", reason, path.name)
         return path, note, torn
     if reasons:
-        raise ValueError(f"no checkpoint in {folder} is whole:\n" + "\n".join(f"  {reason}" for reason in reasons))
-    raise FileNotFoundError(f"no checkpoint in {folder}: expected the directory of a run that saved at least one")
+        raise ValueError(
+            f"no checkpoint in {folder} is whole:\n"
+            + "\n".join(f"  {reason}" for reason in reasons)
+        )
+    raise FileNotFoundError(
+        f"no checkpoint in {folder}: expected the directory of a run that saved at least one"
+    )
 
 
 def saved_config(run_dir: Path) -> dict[str, Any] | None:
@@ -193,7 +200,9 @@ class _WeightsOnly(CheckpointAdapter):
     adapter_id = "rrl.weights_only"
     FILE = "state.pt"
 
-    def save(self, component: Any, path: Path, *, args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> Any:
+    def save(
+        self, component: Any, path: Path, *, args: tuple[Any, ...], kwargs: Mapping[str, Any]
+    ) -> Any:
         path.mkdir(parents=True)
         torch.save(component.state_dict(), path / self.FILE)
 
@@ -207,4 +216,6 @@ class _WeightsOnly(CheckpointAdapter):
         args: tuple[Any, ...],
         kwargs: Mapping[str, Any],
     ) -> Any:
-        component.load_state_dict(torch.load(path / self.FILE, map_location="cpu", weights_only=True))
+        component.load_state_dict(
+            torch.load(path / self.FILE, map_location="cpu", weights_only=True)
+        )

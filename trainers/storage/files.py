@@ -58,12 +58,15 @@ def seal(folder: Path, note: Mapping[str, Any]) -> None:
          "content": {"version": 1, "files": {"name": {"bytes": n, "sha256": "..."}}, "note": {...}}}
     """
     files = sorted(p for p in folder.rglob("*") if p.is_file())
-    inventory = {str(p.relative_to(folder)): {"bytes": p.stat().st_size, "sha256": _sha256(p)} for p in files}
+    inventory = {
+        str(p.relative_to(folder)): {"bytes": p.stat().st_size, "sha256": _sha256(p)} for p in files
+    }
     content = {"version": SCHEMA_VERSION, "files": inventory, "note": dict(note)}
     for path in files:
         sync(path)
     write_atomically(
-        folder / SEAL, json.dumps({"sha256": _digest(_canonical(content)), "content": content}, indent=1) + "\n"
+        folder / SEAL,
+        json.dumps({"sha256": _digest(_canonical(content)), "content": content}, indent=1) + "\n",
     )
     for directory in (*(p for p in folder.rglob("*") if p.is_dir()), folder):
         sync(directory)
@@ -112,7 +115,9 @@ def _read_content(path: Path) -> dict[str, Any]:
     if not intact:
         raise ValueError(f"{path.name} is not what was written (SHA-256 differs)")
     if content["version"] != SCHEMA_VERSION:
-        raise ValueError(f"written with schema version {content['version']}, this code reads {SCHEMA_VERSION}")
+        raise ValueError(
+            f"written with schema version {content['version']}, this code reads {SCHEMA_VERSION}"
+        )
     return dict(content)
 
 

@@ -14,7 +14,11 @@ def require_finite(tensors: Mapping[str, Tensor], what: str) -> None:
         FloatingPointError: naming the entries, and that everything before is safe on disk.
 
     """
-    broken = [name for name, value in tensors.items() if value.is_floating_point() and not value.isfinite().all()]
+    broken = [
+        name
+        for name, value in tensors.items()
+        if value.is_floating_point() and not value.isfinite().all()
+    ]
     if broken:
         more = f" and {len(broken) - 3} more" if len(broken) > 3 else ""
         raise FloatingPointError(

@@ -58,13 +58,20 @@ class ReplayStore:
     """
 
     def __init__(
-        self, run_dir: Path, sampler: StackedSampler, capacity: int, n_step: int = 1, gamma: float = 1.0
+        self,
+        run_dir: Path,
+        sampler: StackedSampler,
+        capacity: int,
+        n_step: int = 1,
+        gamma: float = 1.0,
     ) -> None:
         self.n_step, self.gamma = n_step, gamma
         self.keys: tuple[NestedKey, ...] = (*STORED, STEPS) if n_step > 1 else STORED
         self.sampler, self.num_seeds = sampler, sampler.num_seeds
         self.capacity = capacity * sampler.num_seeds
-        self.replay = TensorDictReplayBuffer(storage=LazyTensorStorage(self.capacity), sampler=sampler)
+        self.replay = TensorDictReplayBuffer(
+            storage=LazyTensorStorage(self.capacity), sampler=sampler
+        )
         self.log = TransitionLog(run_dir / FOLDER)
         self.count = 0
 
@@ -115,7 +122,10 @@ class ReplayStore:
         whole = self.pending // size * size
         self.log.cut(self.count + whole)
         if whole:
-            log.warning("%d transitions were stored after the checkpoint; they are learned from again", whole)
+            log.warning(
+                "%d transitions were stored after the checkpoint; they are learned from again",
+                whole,
+            )
 
     def recover(self, size: int) -> None:
         """Put the next ``size`` pending transitions into the buffer."""
@@ -130,9 +140,13 @@ class ReplayStore:
         """Raise a ValueError unless the log reaches ``mark`` and is the log of the run that made it."""
         count = mark["count"]
         if self.log.count < count:
-            raise ValueError(f"{self.log.folder} ends at record {self.log.count}, the checkpoint needs {count}")
+            raise ValueError(
+                f"{self.log.folder} ends at record {self.log.count}, the checkpoint needs {count}"
+            )
         if self.log.checksum(count) != mark["checksum"]:
-            raise ValueError(f"{self.log.folder}: record {count - 1} is not the one that the checkpoint was made with")
+            raise ValueError(
+                f"{self.log.folder}: record {count - 1} is not the one that the checkpoint was made with"
+            )
 
     def state_dict(self) -> dict[str, Any]:
         """The position in the log; the transitions themselves are on disk already."""
@@ -143,7 +157,9 @@ class ReplayStore:
         last = int(state["count"])
         first = max(0, last - self.capacity)
         self.replay.empty()
-        self.replay.writer.load_state_dict({"_cursor": first % self.capacity, "_write_count": first})
+        self.replay.writer.load_state_dict(
+            {"_cursor": first % self.capacity, "_write_count": first}
+        )
         self._fill(first, last)
 
     def _fill(self, first: int, last: int) -> None:

@@ -40,7 +40,9 @@ def require_same_run(saved: Mapping[str, Any], current: Mapping[str, Any]) -> No
         ValueError: with one line for every key that changed and may not: ``key: old -> new``.
     """
     changed = [
-        f"  {key}: {old} -> {new}" for key, (old, new) in differences(saved, current).items() if not _may_change(key)
+        f"  {key}: {old} -> {new}"
+        for key, (old, new) in differences(saved, current).items()
+        if not _may_change(key)
     ]
     if changed:
         raise ValueError(

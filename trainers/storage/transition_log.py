@@ -113,12 +113,16 @@ class TransitionLog:
         """
         self.close()
         paths = [p for p in self._segments() if (_number(p) + 1) * self._per_segment > count]
-        offsets = [max(0, count - _number(p) * self._per_segment) * self._record.itemsize for p in paths]
+        offsets = [
+            max(0, count - _number(p) * self._per_segment) * self._record.itemsize for p in paths
+        ]
         tail = b"".join(p.read_bytes()[offset:] for p, offset in zip(paths, offsets, strict=True))
         if not tail:
             return None
         out = self._write_tail(tail, count)
-        for path, offset in reversed(list(zip(paths, offsets, strict=True))):  # from the end: never a hole
+        for path, offset in reversed(
+            list(zip(paths, offsets, strict=True))
+        ):  # from the end: never a hole
             if offset:
                 os.truncate(path, offset)
             else:
@@ -146,7 +150,10 @@ class TransitionLog:
 
     def _create(self, transitions: TensorDictBase) -> None:
         flat = transitions.flatten_keys("/")
-        fields = [[key, str(value[:0].numpy().dtype), list(value.shape[1:])] for key, value in sorted(flat.items())]
+        fields = [
+            [key, str(value[:0].numpy().dtype), list(value.shape[1:])]
+            for key, value in sorted(flat.items())
+        ]
         size = _dtype(fields).itemsize
         schema = {
             "version": VERSION,
@@ -202,7 +209,9 @@ class TransitionLog:
         except OSError as error:
             os.ftruncate(self._descriptor, start)
             raise OSError(
-                error.errno, f"{error.strerror}; {self.count} transitions before it are whole", str(path)
+                error.errno,
+                f"{error.strerror}; {self.count} transitions before it are whole",
+                str(path),
             ) from error
 
     def _records(self, first: int, last: int) -> Records:
@@ -218,7 +227,9 @@ class TransitionLog:
             path = self._path(segment)
             part = np.empty(0, self._record)
             if path.is_file():
-                part = np.fromfile(path, self._record, number, offset=offset * self._record.itemsize)
+                part = np.fromfile(
+                    path, self._record, number, offset=offset * self._record.itemsize
+                )
             if len(part) < number:
                 raise ValueError(f"{path} ends before record {at + number}")
             parts.append(part)
@@ -234,7 +245,10 @@ class TransitionLog:
         damaged = []
         for i, checksum in enumerate(stored):
             segment, at = divmod(first + i, self._per_segment)
-            if zlib.crc32(data[i * size : (i + 1) * size - 4], before if at else segment) != checksum:
+            if (
+                zlib.crc32(data[i * size : (i + 1) * size - 4], before if at else segment)
+                != checksum
+            ):
                 damaged.append(first + i)
             before = checksum
         return damaged
@@ -259,7 +273,9 @@ def _number(segment: Path) -> int:
 
 
 def _dtype(fields: list[Any]) -> np.dtype[np.void]:
-    columns = [(key, np.dtype(dtype).newbyteorder("<"), tuple(shape)) for key, dtype, shape in fields]
+    columns = [
+        (key, np.dtype(dtype).newbyteorder("<"), tuple(shape)) for key, dtype, shape in fields
+    ]
     return np.dtype([*columns, (CHECKSUM, "<u4")])
 
 

@@ -58,15 +58,23 @@ class Overlapped(Experience):
         environment: EnvironmentFactory,
         exploration: Callable[..., TensorDictModuleBase],
     ) -> None:
-        context = get_context("spawn")  # a fork would inherit the threads' locks without the threads
+        context = get_context(
+            "spawn"
+        )  # a fork would inherit the threads' locks without the threads
         self._connection, far_end = context.Pipe()
         recipe = cloudpickle.dumps((settings, environment, exploration))
-        self._process = context.Process(target=_serve, args=(far_end, recipe), name="rrl-collection")
+        self._process = context.Process(
+            target=_serve, args=(far_end, recipe), name="rrl-collection"
+        )
         self._process.start()
         far_end.close()
-        atexit.register(self.close)  # before multiprocessing's own handler, which would wait for the process
+        atexit.register(
+            self.close
+        )  # before multiprocessing's own handler, which would wait for the process
         self._under_way = False
-        self._before: dict[str, Any] | None = None  # the state in which the collection that is under way began
+        self._before: dict[str, Any] | None = (
+            None  # the state in which the collection that is under way began
+        )
         self._continues: bool | None = None
         import_compiler()  # the process takes longer to start, and who collects so mostly compiles too
         self.sizes = self._receive()
@@ -119,7 +127,9 @@ class Overlapped(Experience):
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore both."""
         self._acting = state["acting"]
-        self._call("restore", _pack({key: value for key, value in state.items() if key != "acting"}))
+        self._call(
+            "restore", _pack({key: value for key, value in state.items() if key != "acting"})
+        )
 
     def close(self) -> None:
         """Have the process close its environment, and end it if it does not."""
@@ -194,8 +204,14 @@ class _Collecting:
         self.experience.start_anew(seed)
 
     def state(self) -> bytes:
-        policy = {key: value for key, value in self.policy.state_dict().items() if not isinstance(value, Tensor)}
-        return _pack({"policy": policy, "rng": self.rng.state_dict(), **self.experience.state_dict()})
+        policy = {
+            key: value
+            for key, value in self.policy.state_dict().items()
+            if not isinstance(value, Tensor)
+        }
+        return _pack(
+            {"policy": policy, "rng": self.rng.state_dict(), **self.experience.state_dict()}
+        )
 
     def restore(self, packed: bytes) -> None:
         state = _unpack(packed)

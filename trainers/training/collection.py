@@ -111,7 +111,9 @@ class InTurn(Experience):
         self.env = environment.make(self.num_envs)
         seed_env(self.env, first_seed)
         spec = self.env.full_action_spec[ACTION]
-        self.sizes = Sizes({OBSERVATION: self.env.observation_spec[OBSERVATION].shape[-1]}, spec.shape[-1])
+        self.sizes = Sizes(
+            {OBSERVATION: self.env.observation_spec[OBSERVATION].shape[-1]}, spec.shape[-1]
+        )
         self.exploration = exploration(spec=spec, num_slots=self.num_envs, seed=first_seed)
         if "is_init" in self.exploration.in_keys:
             self.env.append_transform(InitTracker())
@@ -139,7 +141,9 @@ class InTurn(Experience):
     def rollout(self, env_steps: int) -> TensorDictBase:
         """Everything that the environment wrote in the round that starts at ``env_steps``, ``[S * E, T]``."""
         explores = self.settings.warmup_exploration or env_steps >= self.settings.warmup_steps
-        self.collector.exploration_type = ExplorationType.RANDOM if explores else ExplorationType.DETERMINISTIC
+        self.collector.exploration_type = (
+            ExplorationType.RANDOM if explores else ExplorationType.DETERMINISTIC
+        )
         self.ramp.share = self.settings.residual_share(env_steps)
         self._decay(env_steps)  # rounds that were taken from the log
         data = self.collector.rollout()
@@ -147,14 +151,18 @@ class InTurn(Experience):
         return data
 
     def _decay(self, env_steps: int) -> None:
-        if hasattr(self.exploration, "step"):  # TorchRL's name for the decay of an exploration module
+        if hasattr(
+            self.exploration, "step"
+        ):  # TorchRL's name for the decay of an exploration module
             self.exploration.step(env_steps - self._decayed)
         self._decayed = env_steps
 
     def collect(self, env_steps: int) -> tuple[TensorDictBase, Metrics]:
         """Collect now."""
         data, seeds = self.rollout(env_steps), self.settings.num_seeds
-        return data.select(*STORED), experience_metrics(data, seeds, self.env) | measured(self.stopwatch, seeds)
+        return data.select(*STORED), experience_metrics(data, seeds, self.env) | measured(
+            self.stopwatch, seeds
+        )
 
     def begin(self, env_steps: int | None, checkpoint: bool) -> None:
         """Nothing to do ahead."""

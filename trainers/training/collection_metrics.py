@@ -13,7 +13,9 @@ from rrl.transforms import ResidualAction
 from ..loggers import metrics
 
 
-def experience_metrics(data: TensorDictBase, num_seeds: int, env: TransformedEnv) -> dict[str, list[float]]:
+def experience_metrics(
+    data: TensorDictBase, num_seeds: int, env: TransformedEnv
+) -> dict[str, list[float]]:
     """Metrics of collected data ``[S * E, T]``, one value per seed.
 
     ``train/reward`` and ``train/reward_terms/*`` are means over steps; ``train/success`` is the share of the episodes
@@ -30,7 +32,9 @@ def experience_metrics(data: TensorDictBase, num_seeds: int, env: TransformedEnv
         solved = (following[SUCCESS].flatten(1) & ended).sum(-1) / ended.sum(-1)
         values[metrics.name(metrics.TRAIN, "success")] = solved.tolist()
     if DIVERGED in following:
-        values[metrics.name(metrics.TRAIN, DIVERGED)] = following[DIVERGED].flatten(1).sum(-1).tolist()
+        values[metrics.name(metrics.TRAIN, DIVERGED)] = (
+            following[DIVERGED].flatten(1).sum(-1).tolist()
+        )
     for limit, changed in following.get(SAFETY, {}).items():
         values[metrics.name(metrics.SAFETY, limit)] = _mean(changed)
     return values | _shares(data, env)
@@ -39,15 +43,22 @@ def experience_metrics(data: TensorDictBase, num_seeds: int, env: TransformedEnv
 def _shares(data: TensorDictBase, env: TransformedEnv) -> dict[str, list[float]]:
     residual_action = next(t for t in env.transform if isinstance(t, ResidualAction))
     limits = residual_action.limits()
-    low, high, half_range = (x.reshape(-1, x.shape[-1])[0] for x in (limits.low, limits.high, limits.half_range))
+    low, high, half_range = (
+        x.reshape(-1, x.shape[-1])[0] for x in (limits.low, limits.high, limits.half_range)
+    )
     residual = residual_action.scale * half_range * data[ACTION]
     base = data[BASE_ACTION]
     demand = base + residual
     clipped = (demand < low) | (demand > high)
     size, base_size = residual.abs().mean((-1, -2)), base.abs().mean((-1, -2))
     return {
-        metrics.name(metrics.ACTION, "residual_rms"): residual.square().mean((-1, -2)).sqrt().tolist(),
-        metrics.name(metrics.ACTION, "residual_share"): (size / (size + base_size).clamp_min(1e-9)).tolist(),
+        metrics.name(metrics.ACTION, "residual_rms"): residual.square()
+        .mean((-1, -2))
+        .sqrt()
+        .tolist(),
+        metrics.name(metrics.ACTION, "residual_share"): (
+            size / (size + base_size).clamp_min(1e-9)
+        ).tolist(),
         metrics.name(metrics.ACTION, "clip_fraction"): _mean(clipped),
     }
 

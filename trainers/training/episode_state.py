@@ -72,4 +72,6 @@ class EpisodeInProgress:
 
 
 def _has_content(state: Any) -> bool:
-    return any(map(_has_content, state.values())) if isinstance(state, Mapping) else state is not None
+    return (
+        any(map(_has_content, state.values())) if isinstance(state, Mapping) else state is not None
+    )

@@ -55,7 +55,9 @@ class Profile:
     def add(self, values: metrics.Values, env_steps: int) -> None:
         """Take the metrics of a round of ``env_steps`` steps of one seed; rounds without an update are left out."""
         prefix = f"{metrics.TIME}/"
-        times = {key.removeprefix(prefix): v[0] for key, v in values.items() if key.startswith(prefix)}
+        times = {
+            key.removeprefix(prefix): v[0] for key, v in values.items() if key.startswith(prefix)
+        }
         if "update" not in times:
             return
         self.env_steps += env_steps
@@ -64,14 +66,18 @@ class Profile:
 
     def rows(self) -> list[tuple[str, float]]:
         """Sections and their milliseconds an environment step (of all seeds), the parts of one below it."""
-        per_step = {section: 1e3 * s / max(1, self.env_steps) for section, s in self.seconds.items()}
+        per_step = {
+            section: 1e3 * s / max(1, self.env_steps) for section, s in self.seconds.items()
+        }
         for part, whole in NESTED.items():
             if part in per_step and whole in per_step:
                 per_step[whole] -= per_step[part]
         tops = [section for section in per_step if "/" not in section]
         rows = []
         for top in sorted(tops, key=lambda s: (s == BESIDE, -per_step[s])):
-            parts = sorted((s for s in per_step if s.startswith(f"{top}/")), key=lambda s: -per_step[s])
+            parts = sorted(
+                (s for s in per_step if s.startswith(f"{top}/")), key=lambda s: -per_step[s]
+            )
             rows.append((top, per_step[top]))
             rows += [(f"  {part.partition('/')[2]}", per_step[part]) for part in parts]
             if parts:
@@ -93,13 +99,17 @@ class Profile:
 def measured(stopwatch: Stopwatch | None, num_seeds: int) -> dict[str, list[float]]:
     """What a stopwatch has measured since the last time, as metrics."""
     times = {} if stopwatch is None else stopwatch.lap()
-    return {metrics.name(metrics.TIME, section): [seconds] * num_seeds for section, seconds in times.items()}
+    return {
+        metrics.name(metrics.TIME, section): [seconds] * num_seeds
+        for section, seconds in times.items()
+    }
 
 
 def beside(values: Mapping[str, list[float]], seconds: float) -> dict[str, list[float]]:
     """The metrics of a collection that took ``seconds`` in a second process: its parts under another name."""
     collect, there = metrics.name(metrics.TIME, "collect"), metrics.name(metrics.TIME, BESIDE)
     renamed = {
-        there + key.removeprefix(collect) if key.startswith(collect) else key: value for key, value in values.items()
+        there + key.removeprefix(collect) if key.startswith(collect) else key: value
+        for key, value in values.items()
     }
     return renamed | {there: [seconds] * len(next(iter(values.values())))}

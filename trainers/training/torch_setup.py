@@ -21,10 +21,14 @@ def configure_process(settings: TrainerSettings) -> None:
     random.seed(settings.seed)
     np.random.seed(settings.seed)  # noqa: NPY002
     torch.manual_seed(settings.seed)
-    torch.set_num_threads(settings.threads or (1 if settings.overlap else min(MOST_THREADS, available_threads())))
+    torch.set_num_threads(
+        settings.threads or (1 if settings.overlap else min(MOST_THREADS, available_threads()))
+    )
     torch.set_float32_matmul_precision(_precision(settings))
     if settings.flush_denormals and not torch.set_flush_denormal(True):
-        warnings.warn("this processor cannot flush denormal numbers; going on without", stacklevel=2)
+        warnings.warn(
+            "this processor cannot flush denormal numbers; going on without", stacklevel=2
+        )
 
 
 def _precision(settings: TrainerSettings) -> str:

@@ -68,7 +68,9 @@ class Trainer:
         progress: Progress | None = None,
     ) -> None:
         self.settings, self.run_dir = settings, Path(run_dir)
-        self.loggers = [Guarded(logger) for logger in ([CSVLogger()] if loggers is None else loggers)]
+        self.loggers = [
+            Guarded(logger) for logger in ([CSVLogger()] if loggers is None else loggers)
+        ]
         self.config = dict(config or {"trainer": settings.model_dump()})
         self.interruption = Interruption()
         self.progress = progress or Progress.silent()
@@ -86,7 +88,9 @@ class Trainer:
         )
         self.experience.follow(self.agent.policy)
         self.sampler = StackedSampler(settings.num_seeds, settings.seed, settings.batch_size)
-        returns = {"n_step": settings.n_step, "gamma": self.agent.gamma} if settings.n_step > 1 else {}
+        returns = (
+            {"n_step": settings.n_step, "gamma": self.agent.gamma} if settings.n_step > 1 else {}
+        )
         self.store = ReplayStore(self.run_dir, self.sampler, settings.buffer_capacity, **returns)
         self.replay = self.store.replay
         self.evaluator = Evaluator(scenarios or {"training": environment}, settings.evaluation)
@@ -122,7 +126,9 @@ class Trainer:
 
         """
         self.checkpoints.claim()
-        path, note, torn = newest_whole(self.run_dir, lambda note: self.store.check(note["transitions"]))
+        path, note, torn = newest_whole(
+            self.run_dir, lambda note: self.store.check(note["transitions"])
+        )
         require_same_run(note["config"], self.config)
         self.checkpoints.load(path, torn)
         if self.experience.continues:
@@ -150,7 +156,10 @@ class Trainer:
         self.require_new_or_resumed()
         for logger in self.loggers:
             logger.start(self.run_dir, self.config, settings.seeds, self.env_steps)
-        with self.interruption.listening(), self.progress.training(settings.total_steps, self.env_steps):
+        with (
+            self.interruption.listening(),
+            self.progress.training(settings.total_steps, self.env_steps),
+        ):
             if self.env_steps == 0:
                 self._save()
                 self._evaluate()
@@ -170,7 +179,9 @@ class Trainer:
         """
         self.checkpoints.claim()
         if not self._resumed and (self.checkpoints.exist() or self.store.log.count):
-            raise FileExistsError(f"{self.run_dir} holds a run already: resume it, or choose another directory")
+            raise FileExistsError(
+                f"{self.run_dir} holds a run already: resume it, or choose another directory"
+            )
 
     def close(self) -> None:
         """Finish the loggers and close the environments, even those that no longer answer."""
@@ -193,7 +204,9 @@ class Trainer:
     def _round(self) -> None:
         values = self._recover() if self.store.pending else self._collect_and_store()
         self.counters["env_steps"] += self.settings.steps_per_round
-        self.experience.begin(self._next_collection(), checkpoint=self._due(self.settings.checkpoint.every))
+        self.experience.begin(
+            self._next_collection(), checkpoint=self._due(self.settings.checkpoint.every)
+        )
         if self.env_steps >= self.settings.warmup_steps:
             with self.stopwatch("update"):
                 values |= self._update()
@@ -241,7 +254,9 @@ class Trainer:
         require_finite(dict(self.agent.named_parameters()), "not saved: the agent has")
         for logger in self.loggers:
             logger.flush()
-        self.checkpoints.save(self.env_steps, {"transitions": self.store.mark(), "config": self.config})
+        self.checkpoints.save(
+            self.env_steps, {"transitions": self.store.mark(), "config": self.config}
+        )
         self.store.log.forget(self.checkpoints.oldest_transition() - self.store.capacity)
 
     def _stop_if_asked(self) -> None:
@@ -262,7 +277,9 @@ class Trainer:
         for scenario in self.progress.track(self.evaluator.scenarios, "evaluating"):
             self._stop_if_asked()
             episodes = self.settings.evaluation.final_episodes
-            results[scenario] = self.evaluator.compare(self.agent, self.settings.num_seeds, scenario, episodes)
+            results[scenario] = self.evaluator.compare(
+                self.agent, self.settings.num_seeds, scenario, episodes
+            )
             self._log_evaluation(scenario, results[scenario])
         return results
 

@@ -20,7 +20,9 @@ def add_materials(root: Any) -> None:
 
 def draw(body: Any, kind: str, material: str, **shape: Any) -> None:
     """Adds one decorative geom to ``body``."""
-    body.add("geom", type=kind, material=material, contype=0, conaffinity=0, mass=0, group=1, **shape)
+    body.add(
+        "geom", type=kind, material=material, contype=0, conaffinity=0, mass=0, group=1, **shape
+    )
 
 
 def _segment(body: Any, kind: str, material: str, start: Any, end: Any, radius: float) -> None:

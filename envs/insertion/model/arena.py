@@ -63,7 +63,9 @@ class PlatformArena(composer.Arena):
             "texture", name="floor", type="2d", builtin="checker", width=100, height=100,
             rgb1=(0.74, 0.76, 0.79), rgb2=(0.69, 0.71, 0.75),
         )  # fmt: skip
-        root.asset.add("material", name="floor", texture="floor", texrepeat=(12, 12), reflectance=0.05)
+        root.asset.add(
+            "material", name="floor", texture="floor", texrepeat=(12, 12), reflectance=0.05
+        )
         root.asset.add("material", name="table", rgba=(0.80, 0.71, 0.58, 1), specular=0.2)
         root.asset.add("material", name="platform", rgba=(0.25, 0.28, 0.33, 1), specular=0.3)
         root.asset.add("material", name="pedestal", rgba=(0.13, 0.135, 0.15, 1), specular=0.3)
@@ -76,7 +78,9 @@ class PlatformArena(composer.Arena):
             diffuse=(0.18, 0.2, 0.24), specular=(0.1, 0.1, 0.1), castshadow=False,
         )  # fmt: skip
 
-    def _add_furniture(self, goal_xy: tuple[float, float], friction: float, base_height: float) -> None:
+    def _add_furniture(
+        self, goal_xy: tuple[float, float], friction: float, base_height: float
+    ) -> None:
         world = self._mjcf_root.worldbody
         x, y = goal_xy
 
@@ -97,7 +101,12 @@ class PlatformArena(composer.Arena):
                     pos=(x + 0.05 + side_x * 0.29, y + side_y * 0.41, -TABLE_HEIGHT / 2 - 0.03),
                     size=(0.02, 0.02, TABLE_HEIGHT / 2 - 0.03),
                 )  # fmt: skip
-        decor("cylinder", "pedestal", fromto=(0, 0, -TABLE_HEIGHT, 0, 0, base_height - 0.02), size=(0.11,))
+        decor(
+            "cylinder",
+            "pedestal",
+            fromto=(0, 0, -TABLE_HEIGHT, 0, 0, base_height - 0.02),
+            size=(0.11,),
+        )
         decor("box", "pedestal", pos=(0, 0, -TABLE_HEIGHT + 0.03), size=(0.26, 0.26, 0.03))
         decor("plane", "floor", pos=(0, 0, -TABLE_HEIGHT), size=(6, 6, 0.1))
 
@@ -110,7 +119,9 @@ class PlatformArena(composer.Arena):
             ("closeup", (x + 0.16, y - 0.50, 0.26), target, 38),
             ("front", (x + 0.75, y - 0.12, 0.30), target, 38),
         ):
-            self._mjcf_root.worldbody.add("camera", name=name, pos=position, mode="targetbody", target=aim, fovy=fovy)
+            self._mjcf_root.worldbody.add(
+                "camera", name=name, pos=position, mode="targetbody", target=aim, fovy=fovy
+            )
 
     @property
     def surface(self) -> Any:

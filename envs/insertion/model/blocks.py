@@ -50,7 +50,9 @@ class StandingBlock(composer.Entity):
         self._root.compiler.angle = "radian"
         vertices = chamfered_vertices(half_size, chamfer, inner_side)
         mesh = self._root.asset.add("mesh", name="prism", vertex=vertices.ravel(), inertia="convex")
-        material = self._root.asset.add("material", name="surface", rgba=rgba, specular=0.3, shininess=0.3)
+        material = self._root.asset.add(
+            "material", name="surface", rgba=rgba, specular=0.3, shininess=0.3
+        )
         self._geom = self._root.worldbody.add(
             "geom", name="prism", type="mesh", mesh=mesh, mass=mass, material=material,
             friction=(friction, 0.005, 0.0001),
@@ -89,17 +91,27 @@ class HeldBlock(composer.Entity):
         """
         self._root = mjcf.RootElement(model=name)
         self._root.compiler.angle = "radian"
-        material = self._root.asset.add("material", name="surface", rgba=rgba, specular=0.3, shininess=0.3)
-        self._body = self._root.worldbody.add("body", name="center", pos=(0, 0, half_size[2]), gravcomp=1)
+        material = self._root.asset.add(
+            "material", name="surface", rgba=rgba, specular=0.3, shininess=0.3
+        )
+        self._body = self._root.worldbody.add(
+            "body", name="center", pos=(0, 0, half_size[2]), gravcomp=1
+        )
         self._geom = self._body.add(
             "geom", name="box", type="box", size=half_size, mass=mass, material=material,
             friction=(friction, 0.005, 0.0001),
         )  # fmt: skip
         # Turned by pi about z: its x axis is the world's in the arm's posture TOOL_DOWN.
-        self._center_site = self._body.add("site", name="center", quat=(0, 0, 0, 1), size=(0.002,), rgba=(0, 0, 0, 0))
+        self._center_site = self._body.add(
+            "site", name="center", quat=(0, 0, 0, 1), size=(0.002,), rgba=(0, 0, 0, 0)
+        )
         # A touch sensor sums the normal forces of the contacts inside its site's volume.
         self._skin_site = self._body.add(
-            "site", name="skin", type="box", size=tuple(1.1 * np.array(half_size)), rgba=(0, 0, 0, 0)
+            "site",
+            name="skin",
+            type="box",
+            size=tuple(1.1 * np.array(half_size)),
+            rgba=(0, 0, 0, 0),
         )
 
     @property

@@ -45,7 +45,9 @@ class ParallelGripper(composer.Entity):
         draw(self._body, "box", "steel", pos=(0, 0, 0.066), size=(0.052, 0.012, 0.003))
         for side in (-1, 1):
             self._add_finger(side, opening)
-        self._grip_site = self._body.add("site", name="grip", pos=(0, 0, GRIP_DEPTH), size=(0.002,), rgba=(0, 0, 0, 0))
+        self._grip_site = self._body.add(
+            "site", name="grip", pos=(0, 0, GRIP_DEPTH), size=(0.002,), rgba=(0, 0, 0, 0)
+        )
 
     def _add_finger(self, side: int, opening: float) -> None:
         pad_x = side * (opening / 2 + PAD_HALF_SIZE[0])

@@ -92,15 +92,21 @@ class Sawyer(composer.Entity):
         parent = base
         for index, link in enumerate(LINKS):
             parent = self._add_link(parent, index, link)
-        self._hand = parent.add("body", name="hand", pos=HAND_POSITION, quat=HAND_QUATERNION, gravcomp=1)
+        self._hand = parent.add(
+            "body", name="hand", pos=HAND_POSITION, quat=HAND_QUATERNION, gravcomp=1
+        )
         self._hand.add("inertial", pos=(0, 0, 0), mass=1e-6, diaginertia=(1e-8, 1e-8, 1e-8))
         # Turned by pi about y, so that it is aligned with the world in the posture TOOL_DOWN.
-        self._wrist_site = self._hand.add("site", name="wrist", quat=(0, 0, 1, 0), size=(0.002,), rgba=(0, 0, 0, 0))
+        self._wrist_site = self._hand.add(
+            "site", name="wrist", quat=(0, 0, 1, 0), size=(0.002,), rgba=(0, 0, 0, 0)
+        )
         self._hand_site = self._hand.add("site", name="mount", size=(0.002,), rgba=(0, 0, 0, 0))
         dress_arm(base, self._links)
 
     def _add_link(self, parent: Any, index: int, link: Link) -> Any:
-        body = parent.add("body", name=f"right_l{index}", pos=link.position, quat=link.quaternion, gravcomp=1)
+        body = parent.add(
+            "body", name=f"right_l{index}", pos=link.position, quat=link.quaternion, gravcomp=1
+        )
         body.add(
             "inertial",
             pos=link.center_of_mass,

@@ -74,7 +74,9 @@ def add_joint_actuators(root: Any, config: InsertionConfig, joints: list[Any]) -
         )
 
 
-def set_points(signals: Signals, action: np.ndarray, config: InsertionConfig, home: np.ndarray) -> np.ndarray:
+def set_points(
+    signals: Signals, action: np.ndarray, config: InsertionConfig, home: np.ndarray
+) -> np.ndarray:
     """Actuator controls [B, nu] for an action [B, 3] in [-1, 1].
 
     Args:
@@ -136,7 +138,9 @@ def check_action(action: np.ndarray, num_envs: int) -> np.ndarray:
         ValueError: another shape, or a number that is not finite (the message names the slots).
     """
     if action.shape != (num_envs, 3):
-        raise ValueError(f"action must have shape {(num_envs, 3)} (environments, x y z), got {action.shape}")
+        raise ValueError(
+            f"action must have shape {(num_envs, 3)} (environments, x y z), got {action.shape}"
+        )
     finite = np.isfinite(action).all(axis=-1)
     if not finite.all():
         slots = np.flatnonzero(~finite).tolist()

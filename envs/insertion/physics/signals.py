@@ -90,7 +90,9 @@ class SignalLayout:
 class SignalViews(Mapping[str, np.ndarray]):
     """Views that are made when they are asked for: a control step looks at a few of them only."""
 
-    def __init__(self, places: Mapping[str, tuple[slice, tuple[int, ...]]], sensordata: np.ndarray) -> None:
+    def __init__(
+        self, places: Mapping[str, tuple[slice, tuple[int, ...]]], sensordata: np.ndarray
+    ) -> None:
         self._places = places
         self._sensordata = sensordata
 

@@ -49,7 +49,9 @@ class BatchSimulation:
         start: the nominal start of an episode.
     """
 
-    def __init__(self, model: mujoco.MjModel, config: InsertionConfig, num_envs: int, num_threads: int) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, config: InsertionConfig, num_envs: int, num_threads: int
+    ) -> None:
         self.config = config
         self.start = StartState(model, config)
         # Per-environment models exist only where an episode's yaw is part of the model.
@@ -88,7 +90,9 @@ class BatchSimulation:
         self.yaw[slot] = yaw
         self.start.set_yaw(self._models[slot], yaw)
 
-    def step(self, controls: np.ndarray, active: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def step(
+        self, controls: np.ndarray, active: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Advances the environments by one control step.
 
         Args:

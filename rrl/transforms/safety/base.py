@@ -44,7 +44,10 @@ class SafetyLimit(ActionTransform, SlotTransform):
         self._flag_key = unravel_key((sibling(action_key, SAFETY), name))
         self._executed_key = sibling(action_key, EXECUTED_ACTION)
         super().__init__(
-            in_keys=in_keys, out_keys=[self._flag_key], in_keys_inv=[action_key], out_keys_inv=[action_key]
+            in_keys=in_keys,
+            out_keys=[self._flag_key],
+            in_keys_inv=[action_key],
+            out_keys_inv=[action_key],
         )
         self._action_key = action_key
         self._flag: Tensor | None = None
@@ -81,11 +84,15 @@ class SafetyLimit(ActionTransform, SlotTransform):
         action = tensordict.get(self._action_key).to(limits.dtype)
         return self._remember(next_tensordict, action, tensordict.get(self._flag_key), mask)
 
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
         limits = self._limits or self.limits()
         action = torch.zeros(limits.shape, dtype=limits.dtype, device=limits.low.device)
         mask = reset_mask(tensordict, tensordict_reset.batch_size)
-        return self._remember(tensordict_reset, action, torch.zeros_like(action[..., :1], dtype=torch.bool), mask)
+        return self._remember(
+            tensordict_reset, action, torch.zeros_like(action[..., :1], dtype=torch.bool), mask
+        )
 
     def _reset_on_native_autoreset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -116,11 +123,15 @@ class SafetyLimit(ActionTransform, SlotTransform):
         for key in self.in_keys:
             self.require_spec(observation_spec, key)
         if self._flag_key in observation_spec.keys(True, True):
-            raise ValueError(f"The observations hold {self._flag_key!r} already. Give this limit another name.")
+            raise ValueError(
+                f"The observations hold {self._flag_key!r} already. Give this limit another name."
+            )
         limits = self.limits()
         self.check_sizes(observation_spec, limits.shape[-1])
         shape = (*limits.shape[:-1], 1)
-        observation_spec[self._flag_key] = Binary(n=1, shape=shape, dtype=torch.bool, device=limits.low.device)
+        observation_spec[self._flag_key] = Binary(
+            n=1, shape=shape, dtype=torch.bool, device=limits.low.device
+        )
         return observation_spec
 
     def check_sizes(self, observation_spec: Composite, action_size: int) -> None:

@@ -65,7 +65,9 @@ class ForceLimit(SafetyLimit):
         if onset is not None and not 0 <= onset < limit:
             raise ValueError(f"onset must be in [0, limit) with limit {limit:g}, got {onset!r}.")
         if not axes or len(set(axes)) != len(axes) or min(axes) < 0:
-            raise ValueError(f"axes must name different dimensions of the action, got {list(axes)}.")
+            raise ValueError(
+                f"axes must name different dimensions of the action, got {list(axes)}."
+            )
         self.maximum, self.onset, self.retract = float(limit), onset, float(retract)
         self.axes = list(axes)
 

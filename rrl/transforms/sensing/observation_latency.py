@@ -54,7 +54,9 @@ class ObservationLatency(RandomTransform):
         if steps < 0 or steps != int(steps):
             raise ValueError(f"steps must be a whole number of at least 0, got {steps!r}.")
         if update_interval < 1 or update_interval != int(update_interval):
-            raise ValueError(f"update_interval must be a whole number of at least 1, got {update_interval!r}.")
+            raise ValueError(
+                f"update_interval must be a whole number of at least 1, got {update_interval!r}."
+            )
         if not 0.0 <= dropout < 1.0:
             raise ValueError(f"dropout must be a probability in [0, 1), got {dropout!r}.")
         super().__init__(
@@ -71,7 +73,9 @@ class ObservationLatency(RandomTransform):
         self._queues: list[Tensor] | None = None
         self._age: Tensor | None = None  # control steps since the reset, int64 (*batch)
 
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
         batch = tensordict_reset.batch_size
         mask = reset_mask(tensordict, batch)
         self.start_episodes(batch, mask)

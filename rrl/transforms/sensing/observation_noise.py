@@ -64,7 +64,9 @@ class ObservationNoise(RandomTransform):
         self._noisy = bool((self.sigma != 0).any())
         self._last: list[Tensor] | None = None
 
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
         batch = tensordict_reset.batch_size
         mask = reset_mask(tensordict, batch)
         self.start_episodes(batch, mask)

@@ -34,7 +34,9 @@ def test_keys(variant: str) -> None:
     assert not reset["success"].any()
     stepped = act(env, DOWN)
     terms = stepped["reward_terms"]
-    assert set(terms.keys()) == {"distance", "tilt"} | ({"displacement", "yaw"} if variant == "real" else set())
+    assert set(terms.keys()) == {"distance", "tilt"} | (
+        {"displacement", "yaw"} if variant == "real" else set()
+    )
     torch.testing.assert_close(sum(terms.values()), stepped["reward"])
 
 

@@ -38,7 +38,9 @@ def test_composer_and_batch_run_the_same_trajectory(variant: str, yaw: dict, see
         assert step.last() and step.discount == 1.0
         assert td["truncated"].all()
         nq = batch.slot_model(0).nq
-        np.testing.assert_array_equal(single.physics.data.qpos, batch.physics_state()[0, 1 : nq + 1])
+        np.testing.assert_array_equal(
+            single.physics.data.qpos, batch.physics_state()[0, 1 : nq + 1]
+        )
     assert contact > 1.0
 
 

@@ -25,7 +25,10 @@ def signals(
         "wrist_torque": np.zeros(3),
         "contact_force": np.array([3.0]),
     }
-    return {name: np.broadcast_to(value, (1, substeps, *value.shape)).copy() for name, value in one.items()}
+    return {
+        name: np.broadcast_to(value, (1, substeps, *value.shape)).copy()
+        for name, value in one.items()
+    }
 
 
 TARE = np.array([0.0, 0.0, 6.0, 0.0, 0.0, 0.0])
@@ -76,7 +79,9 @@ def test_reward_is_the_papers() -> None:
     trace["block_position"][..., 0, 1] += 0.04
     trace["block_position"][..., 1, 2] += 0.03
     m = q.measure(trace, TARE)
-    config = make_config("real", {"tilt_weight": 2.0, "displacement_weight": 3.0, "yaw_weight": 5.0})
+    config = make_config(
+        "real", {"tilt_weight": 2.0, "displacement_weight": 3.0, "yaw_weight": 5.0}
+    )
     terms = q.reward_terms(m, config)
     assert tuple(terms) == q.reward_term_names(config)
     expected = {"distance": -0.05, "tilt": -0.8, "displacement": -0.15, "yaw": -3.0}

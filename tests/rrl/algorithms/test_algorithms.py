@@ -26,7 +26,10 @@ each_algorithm = pytest.mark.parametrize("algorithm", ALGORITHMS)
 @each_algorithm
 @pytest.mark.parametrize("layer_norm", [False, True])
 def test_seeds_do_not_touch_each_other(algorithm, layer_norm):
-    one, other = make_agent(algorithm, 3, layer_norm=layer_norm), make_agent(algorithm, 3, layer_norm=layer_norm)
+    one, other = (
+        make_agent(algorithm, 3, layer_norm=layer_norm),
+        make_agent(algorithm, 3, layer_norm=layer_norm),
+    )
     data = batches(4, 3)
     changed = data.clone()
     changed["next", "reward"][:, 1] += 10.0
@@ -43,7 +46,9 @@ def test_a_seed_learns_in_a_stack_what_it_learns_alone(algorithm):
     data = batches(6, 3)
     stack.update(data.clone())
     alone.update(data[:, 1:2].clone())
-    for mine, other in zip(stack.policy_of(1).parameters(), alone.policy_of(0).parameters(), strict=True):
+    for mine, other in zip(
+        stack.policy_of(1).parameters(), alone.policy_of(0).parameters(), strict=True
+    ):
         torch.testing.assert_close(mine, other, rtol=1e-4, atol=1e-6)
 
 
@@ -77,7 +82,9 @@ def test_the_global_generator_is_left_alone(algorithm):
     agent = make_agent(algorithm, 2)
     before = torch.get_rng_state()
     agent.update(batches(3, 2))
-    agent.policy(TensorDict({"observation": torch.randn(4, OBSERVATION, generator=torch.Generator())}, [4]))
+    agent.policy(
+        TensorDict({"observation": torch.randn(4, OBSERVATION, generator=torch.Generator())}, [4])
+    )
     assert torch.equal(before, torch.get_rng_state())
 
 
@@ -91,14 +98,20 @@ def test_in_the_burn_in_critics_and_targets_learn_and_the_policy_waits(algorithm
     assert not any(name.startswith("_actor") for name in moved)
     assert "loss_actor" not in metrics
     assert "loss_actor" in agent.update(batches(4, 1))
-    assert any(name.startswith("_actor") for name in before if not torch.equal(before[name], parameters(agent)[name]))
+    assert any(
+        name.startswith("_actor")
+        for name in before
+        if not torch.equal(before[name], parameters(agent)[name])
+    )
 
 
 @each_algorithm
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # the compiler warns of its own doings
 def test_the_compiled_update_equals_the_eager_one(algorithm):
-    eager, compiled = (make_agent(algorithm, 2, last_layer_bound=0.1, compiled=c) for c in (False, True))
+    eager, compiled = (
+        make_agent(algorithm, 2, last_layer_bound=0.1, compiled=c) for c in (False, True)
+    )
     for learner in (eager, compiled):
         learner.update(batches(10, 2))
     for name, value in parameters(eager).items():
@@ -109,7 +122,9 @@ def test_the_compiled_update_equals_the_eager_one(algorithm):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 def test_a_compiled_learner_goes_on_from_a_state_as_the_eager_one_does(algorithm):
-    eager, compiled = (make_agent(algorithm, tau=0.3, last_layer_bound=0.1, compiled=c) for c in (False, True))
+    eager, compiled = (
+        make_agent(algorithm, tau=0.3, last_layer_bound=0.1, compiled=c) for c in (False, True)
+    )
     eager.update(batches(4, 1))
     compiled.load_state_dict(copy.deepcopy(eager.state_dict()))
     for learner in (eager, compiled):
@@ -122,7 +137,9 @@ def test_a_compiled_learner_goes_on_from_a_state_as_the_eager_one_does(algorithm
 @pytest.mark.filterwarnings("default")
 def test_two_compiled_learners_keep_their_own_hyperparameters():
     for gamma in (0.5, 0.9):
-        eager, compiled = (make_agent(TD3, gamma=gamma, actor_lr=gamma / 100, compiled=c) for c in (False, True))
+        eager, compiled = (
+            make_agent(TD3, gamma=gamma, actor_lr=gamma / 100, compiled=c) for c in (False, True)
+        )
         for learner in (eager, compiled):
             learner.update(batches(4, 1))
         for name, value in parameters(eager).items():
@@ -130,7 +147,9 @@ def test_two_compiled_learners_keep_their_own_hyperparameters():
 
 
 @each_algorithm
-@pytest.mark.parametrize(("name", "value"), [("gamma", 1.0), ("tau", 0.0), ("policy_delay", 0), ("critic_burn_in", -1)])
+@pytest.mark.parametrize(
+    ("name", "value"), [("gamma", 1.0), ("tau", 0.0), ("policy_delay", 0), ("critic_burn_in", -1)]
+)
 def test_bad_hyperparameters_are_named(algorithm, name, value):
     with pytest.raises(ValueError, match=name):
         make_agent(algorithm, **{name: value})
@@ -145,7 +164,9 @@ def test_bad_hyperparameters_of_sac_are_named(name, value):
 def test_the_squashed_gaussian_is_torchrls_tanh_normal():
     loc, scale = torch.randn(7, 3), torch.rand(7, 3) + 0.1
     noise = torch.randn(7, 3)
-    action, log_prob = SquashedGaussian(loc, scale, noise, torch.full((7,), 0.5)).rsample_and_log_prob()
+    action, log_prob = SquashedGaussian(
+        loc, scale, noise, torch.full((7,), 0.5)
+    ).rsample_and_log_prob()
     torch.testing.assert_close(action, (loc + scale * noise).tanh())
     reference = TanhNormal(loc, scale, event_dims=1).log_prob(action)
     torch.testing.assert_close(log_prob, 0.5 * reference, rtol=1e-4, atol=1e-4)
@@ -165,10 +186,20 @@ def test_sacs_critic_learns_the_soft_bellman_target():
         before = loc + scale * batch["next", "action_noise"]
         log_prob = TanhNormal(loc, scale, event_dims=1).log_prob(before.tanh())
         inputs = batch["next", "observation"], before.tanh()
-        least = torch.stack([q(*inputs) for q in critics(agent, "target_qvalue_network_params")]).min(0)[0]
+        least = torch.stack(
+            [q(*inputs) for q in critics(agent, "target_qvalue_network_params")]
+        ).min(0)[0]
         soft = least - 0.7 * log_prob
-        target = batch["next", "reward"].squeeze(-1) + 0.9 * ~batch["next", "terminated"].squeeze(-1) * soft
-        now = torch.stack([q(batch["observation"], batch["action"]) for q in critics(agent, "qvalue_network_params")])
+        target = (
+            batch["next", "reward"].squeeze(-1)
+            + 0.9 * ~batch["next", "terminated"].squeeze(-1) * soft
+        )
+        now = torch.stack(
+            [
+                q(batch["observation"], batch["action"])
+                for q in critics(agent, "qvalue_network_params")
+            ]
+        )
         expected = (now - target).square().sum(0)
     torch.testing.assert_close(loss, expected, rtol=1e-3, atol=1e-4)
 
@@ -182,7 +213,10 @@ def test_sac_tunes_each_seeds_temperature_to_the_entropy():
 
 def test_a_stochastic_policy_acts_alike_in_any_stack():
     td = TensorDict({"observation": torch.zeros(6, OBSERVATION)}, [6])
-    stack, alone = make_agent(SAC, 3, seed=4).policy(td.clone()), make_agent(SAC, 1, seed=5).policy(td[2:4].clone())
+    stack, alone = (
+        make_agent(SAC, 3, seed=4).policy(td.clone()),
+        make_agent(SAC, 1, seed=5).policy(td[2:4].clone()),
+    )
     torch.testing.assert_close(stack["action"][2:4], alone["action"])
     assert stack["action"].unique(dim=0).shape[0] == 6
 

@@ -12,7 +12,9 @@ from rrl.algorithms.compilation import CompiledUpdate, being_traced, compiler_pr
 
 
 def test_without_a_compiler_the_update_runs_as_it_is():
-    said = pytest.warns(UserWarning, match="no C\\+\\+ compiler .* install g\\+\\+, or set compiled=false")
+    said = pytest.warns(
+        UserWarning, match="no C\\+\\+ compiler .* install g\\+\\+, or set compiled=false"
+    )
     with config.patch("cpp.cxx", ("/nowhere/g++",)), said as warnings:
         assert compiler_problem() is not None
         compiled = make_agent(compiled=True)

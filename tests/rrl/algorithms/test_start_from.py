@@ -9,7 +9,9 @@ from rrl.algorithms import DDPG, SAC, TD3
 
 
 def make(algorithm, num_seeds, seed=0, hidden=(8, 8)):
-    return algorithm({"observation": 5}, 2, num_seeds=num_seeds, seed=seed, hidden=hidden, last_layer_bound=0.1)
+    return algorithm(
+        {"observation": 5}, 2, num_seeds=num_seeds, seed=seed, hidden=hidden, last_layer_bound=0.1
+    )
 
 
 def act(agent, k):
@@ -29,9 +31,13 @@ def test_every_seed_starts_from_the_chosen_one(algorithm):
     targets = {n: v for n, v in agent.loss.state_dict().items() if "target_" in n and v.ndim >= 3}
     assert targets
     for name, value in targets.items():
-        assert torch.equal(value, other.loss.state_dict()[name].narrow(-3, 2, 1).expand_as(value)), name
+        assert torch.equal(
+            value, other.loss.state_dict()[name].narrow(-3, 2, 1).expand_as(value)
+        ), name
 
 
 def test_networks_of_another_size_are_refused():
-    with pytest.raises(ValueError, match=r"expected a TD3 with .* of \(5, 8\), got a TD3 with \(5, 4\)"):
+    with pytest.raises(
+        ValueError, match=r"expected a TD3 with .* of \(5, 8\), got a TD3 with \(5, 4\)"
+    ):
         make(TD3, 1).start_from(make(TD3, 1, hidden=(4, 8)), 0)

@@ -47,7 +47,11 @@ def test_policy_and_targets_wait_for_their_turn():
     assert any("loss.qvalue_network_params" in name for name in moved)
     assert not any("target" in name or "loss.actor_network_params" in name for name in moved)
     agent.update(batches(1, 1))
-    assert any("target_actor" in n for n in parameters(agent) if not torch.equal(before[n], parameters(agent)[n]))
+    assert any(
+        "target_actor" in n
+        for n in parameters(agent)
+        if not torch.equal(before[n], parameters(agent)[n])
+    )
 
 
 def test_the_policy_takes_any_leading_shape():
@@ -62,8 +66,17 @@ def test_the_policy_takes_any_leading_shape():
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("target_noise", -0.1), ("actor_lr", 0.0), ("num_critics", 1), ("target_subset", 0), ("residual_penalty", -1.0)],
+    [
+        ("target_noise", -0.1),
+        ("actor_lr", 0.0),
+        ("num_critics", 1),
+        ("target_subset", 0),
+        ("residual_penalty", -1.0),
+    ],
 )
 def test_bad_hyperparameters_are_named(name, value):
-    with pytest.raises(ValueError, match={"actor_lr": "learning rate", "num_critics": "target_subset"}.get(name, name)):
+    with pytest.raises(
+        ValueError,
+        match={"actor_lr": "learning rate", "num_critics": "target_subset"}.get(name, name),
+    ):
         make_agent(**{name: value})

@@ -19,7 +19,9 @@ def state(error: list[list[float]]) -> TensorDict:
 
 
 def test_law() -> None:
-    controller = PIDController(gain=2.0, integral_gain=3.0, derivative_gain=0.1, time_step=0.5, unit=10.0, clip=None)
+    controller = PIDController(
+        gain=2.0, integral_gain=3.0, derivative_gain=0.1, time_step=0.5, unit=10.0, clip=None
+    )
     errors = [0.4, 0.1, -0.2]
     total = last = 0.0
     for step, error in enumerate(errors):

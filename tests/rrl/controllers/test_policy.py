@@ -34,7 +34,9 @@ class Steer(nn.Module):
 
 
 def make_policy(*names: str) -> TensorDictModule:
-    return TensorDictModule(Steer(), in_keys=list(names or ("end_effector_position", "goal")), out_keys=["action"])
+    return TensorDictModule(
+        Steer(), in_keys=list(names or ("end_effector_position", "goal")), out_keys=["action"]
+    )
 
 
 def data() -> TensorDict:

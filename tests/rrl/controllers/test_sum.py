@@ -33,7 +33,9 @@ def test_sum() -> None:
 
 
 def test_weights_and_clip() -> None:
-    controller = SumController([constant(1.0, 1.0), constant(0.5, -0.5)], weights=[0.5, [1.0, 2.0]], clip=[0.8, 0.3])
+    controller = SumController(
+        [constant(1.0, 1.0), constant(0.5, -0.5)], weights=[0.5, [1.0, 2.0]], clip=[0.8, 0.3]
+    )
     assert torch.allclose(controller.act(data())[0], torch.tensor([0.8, -0.3]))
 
 

@@ -17,7 +17,9 @@ def make(*transforms, batch=(2,)):
 
 
 def test_it_holds_what_the_policy_said_and_not_what_was_executed():
-    env = make(ControlNoise(sigma=0.5, seed=0), ResidualAction(proportional(), scale=0.5), ActionHistory())
+    env = make(
+        ControlNoise(sigma=0.5, seed=0), ResidualAction(proportional(), scale=0.5), ActionHistory()
+    )
     actions = random_actions(10, 2, 2)
     records = drive(env, actions)
     assert not records[0][KEY].any()

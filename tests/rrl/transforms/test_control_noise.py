@@ -83,8 +83,12 @@ def test_same_seed_as_observation_noise_is_not_the_same_noise() -> None:
     from rrl.transforms import ObservationNoise
 
     control = executed(ControlNoise(sigma=0.1, seed=0), torch.zeros(20, 2))
-    env = TransformedEnv(PointMass(drift=0.0), ObservationNoise(["end_effector_position"], 0.1, seed=0))
-    seen = torch.stack([r["next", "end_effector_position"] for r in drive(env, torch.zeros(20, 2))[1:]])
+    env = TransformedEnv(
+        PointMass(drift=0.0), ObservationNoise(["end_effector_position"], 0.1, seed=0)
+    )
+    seen = torch.stack(
+        [r["next", "end_effector_position"] for r in drive(env, torch.zeros(20, 2))[1:]]
+    )
     assert not torch.allclose(control, seen - env.base_env._position, atol=1e-3)
 
 

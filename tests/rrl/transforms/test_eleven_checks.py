@@ -31,11 +31,20 @@ from transform_cases import (
 )
 
 WORKERS = 2
-TIMED = {"latency", "tracker", "chain", "action_history", "residual_history"}  # cases that need an order in time
+TIMED = {
+    "latency",
+    "tracker",
+    "chain",
+    "action_history",
+    "residual_history",
+}  # cases that need an order in time
 LIMITS = {"workspace_limit", "step_limit", "force_limit", "safe_residual"}
 RESIDUALS = {"residual", "residual_with_memory", "residual_on_policy", "residual_history", "chain"}
 ON_ACTIONS = {"control_noise"} | RESIDUALS | LIMITS
-OF_STEPS = {"executed_action", "safety"}  # records of a step, which data without an environment has none of
+OF_STEPS = {
+    "executed_action",
+    "safety",
+}  # records of a step, which data without an environment has none of
 
 each_case = pytest.mark.parametrize("name", CASES)
 
@@ -66,7 +75,9 @@ def test_serial_of_transformed(name: str) -> None:
     check_env_specs(SerialEnv(WORKERS, partial(make_env, CASES[name], (3,))))
 
 
-@pytest.mark.parametrize("factory", [residual_with_memory, control_noise, observation_noise, latency, safe_residual])
+@pytest.mark.parametrize(
+    "factory", [residual_with_memory, control_noise, observation_noise, latency, safe_residual]
+)
 def test_parallel_of_transformed(factory: Factory) -> None:
     env = ParallelEnv(WORKERS, partial(make_env, factory, seed=None), mp_start_method="spawn")
     actions = random_actions(25, WORKERS, 2)

@@ -161,7 +161,9 @@ def test_pendulum_of_gymnasium(scale: float) -> None:
     layer = nn.Linear(3, 1)
     policy = TensorDictModule(layer, in_keys=["observation"], out_keys=["action"])
     noise = ControlNoise(mu=0.1, sigma=0.0, seed=0)
-    env = TransformedEnv(GymEnv("Pendulum-v1"), Compose(noise, ResidualAction(policy, scale), StepCounter(30)))
+    env = TransformedEnv(
+        GymEnv("Pendulum-v1"), Compose(noise, ResidualAction(policy, scale), StepCounter(30))
+    )
     check_env_specs(env)
     rollout = env.rollout(60, break_when_any_done=False)
     expected = rollout["base_action"] + scale * 2.0 * rollout["action"]

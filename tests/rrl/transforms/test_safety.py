@@ -21,7 +21,9 @@ BOX = {"low": -0.5, "high": [0.5, 0.55]}  # PointMass starts in it
 
 def wild(*limits, drift=0.0):
     """A point under everything that could break a limit: controller, full residual, strong noise."""
-    chain = Compose(*limits, ControlNoise(mu=0.3, sigma=0.8, seed=0), ResidualAction(proportional()))
+    chain = Compose(
+        *limits, ControlNoise(mu=0.3, sigma=0.8, seed=0), ResidualAction(proportional())
+    )
     return TransformedEnv(PointMass((4,), seed=0, drift=drift, episode_steps=1000), chain)
 
 
@@ -37,12 +39,18 @@ def test_the_box_is_never_left() -> None:
 def test_a_margin_keeps_commands_off_the_faces() -> None:
     env = wild(WorkspaceLimit(**BOX, unit=STEP_SIZE, margin=[0.1, 0.2]), drift=0.0)
     positions = torch.stack([td[POSITION] for td in drive(env, random_actions(300, 4, 2))])[20:]
-    torch.testing.assert_close(positions.amax((0, 1)), torch.tensor([0.4, 0.35]), atol=1e-3, rtol=0.0)
-    torch.testing.assert_close(positions.amin((0, 1)), torch.tensor([-0.4, -0.3]), atol=1e-3, rtol=0.0)
+    torch.testing.assert_close(
+        positions.amax((0, 1)), torch.tensor([0.4, 0.35]), atol=1e-3, rtol=0.0
+    )
+    torch.testing.assert_close(
+        positions.amin((0, 1)), torch.tensor([-0.4, -0.3]), atol=1e-3, rtol=0.0
+    )
 
 
 def test_from_outside_the_box_only_the_way_back_is_left() -> None:
-    env = TransformedEnv(PointMass((), drift=0.0), WorkspaceLimit(low=2.0, high=3.0, unit=STEP_SIZE))
+    env = TransformedEnv(
+        PointMass((), drift=0.0), WorkspaceLimit(low=2.0, high=3.0, unit=STEP_SIZE)
+    )
     step = env.step(env.reset().set("action", torch.tensor([-1.0, 0.5])))
     moved = step["next", POSITION] - step[POSITION]
     torch.testing.assert_close(moved, torch.tensor([STEP_SIZE, STEP_SIZE]))
@@ -104,7 +112,11 @@ def test_motion_against_the_force(force, action, expected) -> None:
 
 
 def test_retreat_and_hard_stop() -> None:
-    assert force_of(ForceLimit(40.0, retract=0.25), [0.3, 0.0, -1.0], [0.0, 0.0, 41.0]) == [0.3, 0.0, 0.25]
+    assert force_of(ForceLimit(40.0, retract=0.25), [0.3, 0.0, -1.0], [0.0, 0.0, 41.0]) == [
+        0.3,
+        0.0,
+        0.25,
+    ]
     assert force_of(ForceLimit(40.0), [0.3, 0.0, -1.0], [0.0, 0.0, 39.0]) == [0.3, 0.0, -1.0]
     assert force_of(ForceLimit(40.0, axes=[2]), [0.3, 0.0, -1.0], [41.0]) == [0.3, 0.0, 0.0]
 

@@ -93,9 +93,15 @@ def test_seed_reproduces_and_tells_apart(name: str) -> None:
         seed_env(env, seed)
         recordings.append(drive(env, actions))
     assert_same(recordings[0], recordings[2])
-    names = [key for key in (*env.transform.out_keys, "observation", POSITION) if isinstance(key, str)]
-    out = next(key for key in names if key in env.observation_spec)  # a limit's flag is often the same
-    differs = [not torch.equal(a.get(out), b.get(out)) for a, b in zip(*recordings[:2], strict=True)]
+    names = [
+        key for key in (*env.transform.out_keys, "observation", POSITION) if isinstance(key, str)
+    ]
+    out = next(
+        key for key in names if key in env.observation_spec
+    )  # a limit's flag is often the same
+    differs = [
+        not torch.equal(a.get(out), b.get(out)) for a, b in zip(*recordings[:2], strict=True)
+    ]
     assert sum(differs) > STEPS // 2
 
 

@@ -74,12 +74,18 @@ def test_weights_and_biases_hold_the_whole_run(trained):
     """Read from the offline run's own files: what the server would be sent."""
     run_dir, _ = trained
     run = wandb_file.read(next(run_dir.glob("wandb/offline-run-*")))
-    assert (run.run.project, run.run.run_group, run.run.job_type) == ("rrl", "insertion-real", "residual")
+    assert (run.run.project, run.run.run_group, run.run.job_type) == (
+        "rrl",
+        "insertion-real",
+        "residual",
+    )
     assert list(run.run.tags) == ["insertion-real", "residual"]
     assert run.run.display_name == "insertion-real-residual"
     assert run.config["trainer"]["num_seeds"] == 2
     assert run.config["versions"]["torchrl"] == version("torchrl")
-    assert [(m.glob_name, m.step_metric) for m in run.metrics if m.step_metric] == [("*", "env_steps")]
+    assert [(m.glob_name, m.step_metric) for m in run.metrics if m.step_metric] == [
+        ("*", "env_steps")
+    ]
     assert all("env_steps" in row for row in run.history)
     for name in (
         "action/residual_share",
@@ -93,8 +99,12 @@ def test_weights_and_biases_hold_the_whole_run(trained):
         assert steps == sorted(steps), name
         assert steps[-1] == 100, name
         seeds = [[row[f"seed_{k}/{name}"] for k in (0, 1)] for row in run.rows(name)]
-        assert [row[name] for row in run.rows(name)] == pytest.approx([sum(pair) / 2 for pair in seeds]), name
-    sections = {name.split("/")[0] for row in run.history for name in row if not name.startswith("_")}
+        assert [row[name] for row in run.rows(name)] == pytest.approx(
+            [sum(pair) / 2 for pair in seeds]
+        ), name
+    sections = {
+        name.split("/")[0] for row in run.history for name in row if not name.startswith("_")
+    }
     assert sections == {
         "env_steps", "train", "action", "loss", "eval", "time", "media", "results", "seed_0", "seed_1"
     }  # fmt: skip
@@ -135,10 +145,18 @@ def test_evaluate_repeats_the_final_evaluation(trained):
 
 def test_resume_continues_to_the_new_end(trained):
     run_dir, _ = trained
-    result = rrl("train", f"resume={run_dir}", "trainer.total_steps=150", "render.enabled=false", cwd=run_dir.parent)
+    result = rrl(
+        "train",
+        f"resume={run_dir}",
+        "trainer.total_steps=150",
+        "render.enabled=false",
+        cwd=run_dir.parent,
+    )
     assert result.returncode == 0, result.stderr
     assert "checkpoint-000000000100" in result.stdout.replace("\n", "")
-    steps = {int(line.split(",")[0]) for line in (run_dir / "metrics.csv").read_text().splitlines()[1:]}
+    steps = {
+        int(line.split(",")[0]) for line in (run_dir / "metrics.csv").read_text().splitlines()[1:]
+    }
     assert steps == {0, 50, 100, 150}
     ids = {path.name.rsplit("-", 1)[1] for path in run_dir.glob("wandb/offline-run-*")}
     assert ids == {(run_dir / "wandb_id").read_text()}

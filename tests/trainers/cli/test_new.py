@@ -49,7 +49,13 @@ def project(tmp_path_factory):
 
 def test_a_new_project_trains_and_is_evaluated(project):
     result = rrl(
-        "train", "env=my_project", "controller=my_project", "safety=step", "safety.step.size=0.5", *SMALL, cwd=project
+        "train",
+        "env=my_project",
+        "controller=my_project",
+        "safety=step",
+        "safety.step.size=0.5",
+        *SMALL,
+        cwd=project,
     )
     assert result.returncode == 0, result.stderr
     run_dir = next(project.glob("outputs/my_project-residual/*"))

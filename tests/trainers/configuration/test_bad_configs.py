@@ -23,7 +23,11 @@ BROKEN = {
     "+env.inptus.goal={}": ["env.inptus: unknown key"],
     "+speed=fast": ["speed: unknown key", "fast"],
     "+algorithm.agent.learning_rate=0.1": [AGENT, "does not take 'learning_rate'", "actor_lr"],
-    "+algorithm.exploration.thetta=0.1": ["algorithm.exploration", "does not take 'thetta'", "theta"],
+    "+algorithm.exploration.thetta=0.1": [
+        "algorithm.exploration",
+        "does not take 'thetta'",
+        "theta",
+    ],
     "+controller.gian=0.1": ["controller", "does not take 'gian'", "gain"],
     "+env.base.clearence=0.1": [BASE, "'clearence'", "clearance"],
     "+env.inputs.goal.mean=0.1": ["env.inputs.goal", "expected loc and scale", "mean"],
@@ -88,10 +92,16 @@ BROKEN = {
     "render.fps=0": ["render.fps", "greater than 0"],
     "render.seed=1": ["render.seed", "trainer.num_seeds (1)", "1"],
     # contradictions
-    "env.symmetries.front_back.goal=[1,2]": ["env.symmetries.front_back.goal", "3 numbers", "[1, 2]"],
+    "env.symmetries.front_back.goal=[1,2]": [
+        "env.symmetries.front_back.goal",
+        "3 numbers",
+        "[1, 2]",
+    ],
     "env.symmetries.front_back.goal=[1,2,2]": ["env.symmetries", "each of the numbers 1 to 3 once"],
     "~env.symmetries.front_back.goal": ["env.symmetries.front_back", "a map of 'goal'"],
-    "env.symmetries.front_back.end_effector_position=[1,3,2]": ["end_effector_position: expected equal scales"],
+    "env.symmetries.front_back.end_effector_position=[1,3,2]": [
+        "end_effector_position: expected equal scales"
+    ],
     "trainer.total_steps=300": ["warmup_steps (300)", "total_steps (300)"],
     "trainer.steps_per_collection=30": ["total_steps (10000)", "steps_per_collection", "30"],
     "trainer.updates_per_step=0.333": ["updates_per_step (0.333)", "whole number"],
@@ -138,7 +148,9 @@ def no_environment(monkeypatch):
 def message_of(override):
     """What ``rrl train`` says of a configuration; empty if it finds nothing wrong."""
     try:
-        config = OmegaConf.to_container(compose("train", overrides=[override]), resolve=True, throw_on_missing=True)
+        config = OmegaConf.to_container(
+            compose("train", overrides=[override]), resolve=True, throw_on_missing=True
+        )
         assembly.check(config)
     except (HydraException, OmegaConfBaseException, ValueError) as error:
         return cli._message(error)
@@ -164,7 +176,10 @@ def test_all_problems_come_at_once():
     config["render"]["fps"] = "slow"
     with pytest.raises(ValueError) as caught:
         assembly.check(config)
-    assert [line.partition(":")[0] for line in str(caught.value).splitlines()] == ["trainer.num_seeds", "render.fps"]
+    assert [line.partition(":")[0] for line in str(caught.value).splitlines()] == [
+        "trainer.num_seeds",
+        "render.fps",
+    ]
 
 
 def test_the_shipped_configuration_is_fine():

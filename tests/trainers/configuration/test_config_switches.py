@@ -37,7 +37,13 @@ def learned(run_dir, *overrides):
     """The policy's weights after a short training on the drifting point."""
     with initialize_config_module("rrl.configs", version_base="1.3"):
         config = compose(
-            "train", overrides=["logger=csv", "env=insertion-sim", "algorithm.agent.hidden=[16]", *overrides]
+            "train",
+            overrides=[
+                "logger=csv",
+                "env=insertion-sim",
+                "algorithm.agent.hidden=[16]",
+                *overrides,
+            ],
         )
     config = OmegaConf.to_container(config, resolve=True)
     inputs = config["env"]["inputs"]
@@ -59,7 +65,9 @@ def learned(run_dir, *overrides):
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
     """What each algorithm learns without any switch."""
-    return {name: learned(tmp_path_factory.mktemp(name), f"algorithm={name}") for name in ("td3", "sac")}
+    return {
+        name: learned(tmp_path_factory.mktemp(name), f"algorithm={name}") for name in ("td3", "sac")
+    }
 
 
 @pytest.mark.parametrize(
@@ -68,11 +76,21 @@ def plain(tmp_path_factory):
 def test_a_switch_changes_what_is_learned(algorithm, switch, plain, tmp_path):
     weights = learned(tmp_path, f"algorithm={algorithm}", switch)
     before = plain[algorithm]
-    assert any(v.shape != before[k].shape or not torch.equal(v, before[k]) for k, v in weights.items())
+    assert any(
+        v.shape != before[k].shape or not torch.equal(v, before[k]) for k, v in weights.items()
+    )
 
 
 def test_switches_at_their_defaults_change_nothing(plain, tmp_path):
-    off = ["algorithm.agent.num_critics=2", "algorithm.agent.target_subset=2", "algorithm.agent.residual_penalty=0.0"]
-    off += ["algorithm.exploration.sigma_end=null", "trainer.n_step=1", "trainer.residual_ramp_steps=0"]
+    off = [
+        "algorithm.agent.num_critics=2",
+        "algorithm.agent.target_subset=2",
+        "algorithm.agent.residual_penalty=0.0",
+    ]
+    off += [
+        "algorithm.exploration.sigma_end=null",
+        "trainer.n_step=1",
+        "trainer.residual_ramp_steps=0",
+    ]
     weights = learned(tmp_path, "algorithm=td3", *off)
     assert all(torch.equal(weights[name], value) for name, value in plain["td3"].items())

@@ -35,7 +35,10 @@ def test_serial_batching_runs_the_same_episodes(factory):
         max_episode_steps=50,
     )
     native = EnvironmentFactory(
-        base=factory.base, controller=factory.controller, inputs=factory.inputs, max_episode_steps=50
+        base=factory.base,
+        controller=factory.controller,
+        inputs=factory.inputs,
+        max_episode_steps=50,
     )
     runs = []
     for env in (serial.make(1), serial.make(2), native.make(2)):
@@ -48,7 +51,9 @@ def test_rescues_and_regressions_are_counted_against_the_same_episodes(factory):
     env = factory.make(20)
     controller = run_episodes(env, zero_residual(env), 20, seed=0, max_steps=50)
     # the drift is 0.6 of an action along x: a constant residual against it solves every episode
-    against = TensorDictModule(lambda: torch.tensor([-0.6, 0.0]).expand(20, 2), in_keys=[], out_keys=["action"])
+    against = TensorDictModule(
+        lambda: torch.tensor([-0.6, 0.0]).expand(20, 2), in_keys=[], out_keys=["action"]
+    )
     residual = run_episodes(env, against, 20, seed=0, max_steps=50)
     comparison = Comparison(residual, controller)
     summary = comparison.summary()
@@ -58,7 +63,9 @@ def test_rescues_and_regressions_are_counted_against_the_same_episodes(factory):
     assert (swapped["rescues"], swapped["regressions"]) == (0, summary["rescues"])
 
 
-@pytest.mark.parametrize("noise", [None, partial(ControlNoise, mu=0.1, sigma=0.05)], ids=["clean", "noise"])
+@pytest.mark.parametrize(
+    "noise", [None, partial(ControlNoise, mu=0.1, sigma=0.05)], ids=["clean", "noise"]
+)
 @pytest.mark.parametrize("variant", ["sim", "real"])
 def test_zero_residual_is_the_controller_bit_for_bit(variant, noise):
     """With the residual transform and zero actions, and without it under the controller as a plain policy."""
@@ -81,14 +88,18 @@ def test_zero_residual_is_the_controller_bit_for_bit(variant, noise):
 
 
 def test_an_unknown_input_names_the_choices(factory):
-    wrong = EnvironmentFactory(base=factory.base, controller=factory.controller, inputs={"position": Input()})
+    wrong = EnvironmentFactory(
+        base=factory.base, controller=factory.controller, inputs={"position": Input()}
+    )
     with pytest.raises(KeyError, match=r"'position'.*end_effector_position"):
         wrong.make(1)
 
 
 def test_a_scale_of_the_wrong_length_is_named(factory):
     wrong = EnvironmentFactory(
-        base=factory.base, controller=factory.controller, inputs={"goal": Input(scale=[1.0, 2.0, 3.0])}
+        base=factory.base,
+        controller=factory.controller,
+        inputs={"goal": Input(scale=[1.0, 2.0, 3.0])},
     )
     with pytest.raises(ValueError, match="'goal' has 2 numbers"):
         wrong.make(1)

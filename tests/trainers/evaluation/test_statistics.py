@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rrl.trainers.evaluation.statistics import exact_interval, iqm, iqm_interval, mcnemar, mean_interval, wilson
+from rrl.trainers.evaluation.statistics import (
+    exact_interval,
+    iqm,
+    iqm_interval,
+    mcnemar,
+    mean_interval,
+    wilson,
+)
 
 
 def test_wilson_interval_of_the_papers_table():
@@ -31,7 +38,10 @@ def test_mcnemar_is_the_sign_test_of_changed_episodes():
 
 def test_exact_interval_of_the_papers_table():
     # 15 of 20: Clopper and Pearson's limits as in published tables
-    assert exact_interval(15, 20) == (pytest.approx(0.5090, abs=1e-4), pytest.approx(0.9134, abs=1e-4))
+    assert exact_interval(15, 20) == (
+        pytest.approx(0.5090, abs=1e-4),
+        pytest.approx(0.9134, abs=1e-4),
+    )
     assert exact_interval(20, 20)[1] == 1.0
 
 

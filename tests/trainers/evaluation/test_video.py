@@ -54,7 +54,9 @@ def test_the_recorded_episode_is_the_evaluated_one(environment):
 def test_both_halves_are_filmed(environment, ending, tmp_path):
     env = environment.make(1)
     try:
-        out = render_comparison(environment, zero_residual(env), render_states, 5, tmp_path / f"episode.{ending}", SIZE)
+        out = render_comparison(
+            environment, zero_residual(env), render_states, 5, tmp_path / f"episode.{ending}", SIZE
+        )
     except RenderingUnavailable as error:
         pytest.skip(str(error))
     if ending == "gif":

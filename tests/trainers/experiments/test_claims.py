@@ -27,29 +27,48 @@ EPISODES = 20
 def outcome(tmp_path):
     """Makes an outcome from final numbers by entry and curves by entry, spread a little over the seeds."""
 
-    def make(arm="residual RL", value=None, curves=None, scenario="misaligned", scenarios=None, **final):
+    def make(
+        arm="residual RL", value=None, curves=None, scenario="misaligned", scenarios=None, **final
+    ):
         path = tmp_path / f"{len(list(tmp_path.iterdir()))}"
         path.mkdir()
-        numbers = {"success": 1.0, "return": -2.0, "controller_success": 0.1, "controller_return": -4.0, **final}
+        numbers = {
+            "success": 1.0,
+            "return": -2.0,
+            "controller_success": 0.1,
+            "controller_return": -4.0,
+            **final,
+        }
         numbers = {"return_gain": numbers["return"] - numbers["controller_return"], **numbers}
         numbers = {"rescues": 5, "regressions": 0, "mcnemar_p": 0.06, **numbers}
         results = {
-            name: {str(seed): {k: v + 0.001 * seed * (k == "return") for k, v in entry.items()} for seed in SEEDS}
+            name: {
+                str(seed): {k: v + 0.001 * seed * (k == "return") for k, v in entry.items()}
+                for seed in SEEDS
+            }
             for name, entry in (scenarios or {scenario: {}}).items()
             for entry in [{**numbers, **entry}]
         }
         (path / "results.json").write_text(json.dumps(results))
         curves = {"success": [0, 1], "return": [-4, -2], **(curves or {})}
-        curves |= {f"controller_{name}": [values[0]] * len(values) for name, values in curves.items()}
+        curves |= {
+            f"controller_{name}": [values[0]] * len(values) for name, values in curves.items()
+        }
         with (path / "metrics.csv").open("w") as file:
             rows = csv.writer(file)
             rows.writerow(["env_steps", "seed", "metric", "value"])
             for name, values in curves.items():
                 for i, v in enumerate(values):
                     rows.writerows(
-                        [i * 500, seed, f"eval/{next(iter(results))}/{name}", v + 0.01 * seed] for seed in SEEDS
+                        [i * 500, seed, f"eval/{next(iter(results))}/{name}", v + 0.01 * seed]
+                        for seed in SEEDS
                     )
-        trainer = {"seed": 0, "num_seeds": 3, "total_steps": 500, "evaluation": {"final_episodes": EPISODES}}
+        trainer = {
+            "seed": 0,
+            "num_seeds": 3,
+            "total_steps": 500,
+            "evaluation": {"final_episodes": EPISODES},
+        }
         config = {"trainer": trainer, "env": {"scenarios": {name: {} for name in results}}}
         config["controller"] = {"_target_": "rrl.controllers.ProportionalController"}
         (path / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
@@ -66,7 +85,10 @@ def verdict(number, *outcomes):
 
 
 def test_learning_faster_is_more_return_over_all_evaluations(outcome):
-    residual, slow = outcome(curves={"return": [-4, -2, -2]}), outcome("RL alone", curves={"return": [-9, -6, -2]})
+    residual, slow = (
+        outcome(curves={"return": [-4, -2, -2]}),
+        outcome("RL alone", curves={"return": [-9, -6, -2]}),
+    )
     assert verdict("1a", residual, slow).word == "holds"
     as_fast = outcome("RL alone", curves={"return": [-4, -2, -2]})
     assert verdict("2a", residual, as_fast).word == "does not hold"
@@ -118,10 +140,15 @@ def test_bias_does_not_stop_learning_if_every_bias_is_learned(outcome):
 
 def test_transfer_is_quick_if_success_stays_from_before_a_thousand_steps_on(outcome):
     arm = "residual RL on the policy from simulation"
-    quick, late = outcome(arm, curves={"success": [0.2, 0.95]}), outcome(arm, curves={"success": [0.2, 0.3, 0.95]})
+    quick, late = (
+        outcome(arm, curves={"success": [0.2, 0.95]}),
+        outcome(arm, curves={"success": [0.2, 0.3, 0.95]}),
+    )
     assert verdict("9", quick).holds
     assert not verdict("9", late).holds
-    assert not verdict("9", outcome(arm, curves={"success": [0.95, 0.3, 0.95]})).holds  # it was lost again
+    assert not verdict(
+        "9", outcome(arm, curves={"success": [0.95, 0.3, 0.95]})
+    ).holds  # it was lost again
     assert (
         "RL from scratch: not reached (from 1%)"
         in verdict("9", quick, outcome("RL from scratch", curves={"success": [0, 0]})).numbers
@@ -143,7 +170,9 @@ def test_every_claim_says_how_it_is_tested():
 @pytest.mark.parametrize("figure", ["curves", "sweep", "table"])
 def test_figures_and_tables_of_a_store(outcome, figure, tmp_path):
     sweep = {"key": "a.b", "label": "b [m]", "values": {"quick": [0.0, 1.0]}}
-    experiment = Experiment(name="some", title="T", paper="P", figure=figure, arms={"residual RL": ()}, sweep=sweep)
+    experiment = Experiment(
+        name="some", title="T", paper="P", figure=figure, arms={"residual RL": ()}, sweep=sweep
+    )
     finding = Finding("some", (outcome(value=0.0), outcome(value=1.0, success=0.5)))
     out = draw(experiment, finding, tmp_path / "figures")
     assert out.read_bytes().startswith(b"\x89PNG")
@@ -158,18 +187,30 @@ def test_figures_and_tables_of_a_store(outcome, figure, tmp_path):
 @needs_chromium
 def test_the_report_opens_offline_and_without_errors(outcome, tmp_path):
     experiments = [
-        Experiment(name="table", title="Table", paper="P", figure="table", arms={"residual RL": ()}),
-        Experiment(name="success-real", title="Curves", paper="P", figure="curves", arms={"residual RL": ()}),
+        Experiment(
+            name="table", title="Table", paper="P", figure="table", arms={"residual RL": ()}
+        ),
+        Experiment(
+            name="success-real",
+            title="Curves",
+            paper="P",
+            figure="curves",
+            arms={"residual RL": ()},
+        ),
     ]
     made = outcome(scenarios={"misaligned": {}, "aligned": {"success": 0.5}})
-    (made.runs[0].path / "run.json").write_text(json.dumps({"overrides": ["env=mars", "a.b={c: 1}"]}))
+    (made.runs[0].path / "run.json").write_text(
+        json.dumps({"overrides": ["env=mars", "a.b={c: 1}"]})
+    )
     findings = {e.name: Finding(e.name, (made,)) for e in experiments}
     figures = {e.name: draw(e, findings[e.name], tmp_path / "figures") for e in experiments}
     scale = {"quick": {"seeds": 3, "stack": 3}}
     settings = Settings(scale="quick", launcher="local", workers=1, out="out", scales=scale)
     failed = Job(StoredRun(tmp_path / "lost/seed-0", "key", (0,)), (), 100)
     ending = Ending(failed=[failed])
-    path = write_report(experiments, findings, figures, judge(findings), None, settings, ending, tmp_path / "r.html")
+    path = write_report(
+        experiments, findings, figures, judge(findings), None, settings, ending, tmp_path / "r.html"
+    )
     with opened(path) as page:
         text = page.inner_text("body")
         for expected in (
@@ -187,7 +228,9 @@ def test_the_report_opens_offline_and_without_errors(outcome, tmp_path):
 def test_an_outcome_puts_the_groups_of_seeds_together(outcome):
     one, other = outcome(), outcome()
     results = json.loads((other.runs[0].path / "results.json").read_text())
-    moved = {name: {str(int(s) + 3): v for s, v in entry.items()} for name, entry in results.items()}
+    moved = {
+        name: {str(int(s) + 3): v for s, v in entry.items()} for name, entry in results.items()
+    }
     (other.runs[0].path / "results.json").write_text(json.dumps(moved))
     config = {**other.point.config, "trainer": {**other.point.config["trainer"], "seed": 3}}
     (other.runs[0].path / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))

@@ -14,7 +14,12 @@ def write(run_dir, rows):
 
 def test_success_is_that_of_the_followed_scenario_in_the_last_evaluation(tmp_path):
     first, second = "eval/misaligned/success", "eval/aligned/success"
-    rows = [(100, {first: [0.0, 0.2]}), (200, {first: [0.4, 0.6]}), (200, {second: [1.0, 1.0]}), (250, {"x": [0, 0]})]
+    rows = [
+        (100, {first: [0.0, 0.2]}),
+        (200, {first: [0.4, 0.6]}),
+        (200, {second: [1.0, 1.0]}),
+        (250, {"x": [0, 0]}),
+    ]
     write(tmp_path, rows)
     assert latest(tmp_path) == (250, 0.5)
 

@@ -32,7 +32,10 @@ def test_points_are_arms_times_settings(points):
 def test_equal_configurations_share_their_runs(points, folders, tmp_path):
     other = {**EXPERIMENT, "overrides": ["env.base.drift=0.06", "name=another"], "figure": "curves"}
     write(folders[0] / "experiment/same.yaml", {k: v for k, v in other.items() if k != "sweep"})
-    write(folders[0] / "experiment/view.yaml", {"title": "t", "paper": "p", "figure": "table", "runs_of": "drift"})
+    write(
+        folders[0] / "experiment/view.yaml",
+        {"title": "t", "paper": "p", "figure": "table", "runs_of": "drift"},
+    )
     found = points()
     jobs = plan_jobs(found, Store(tmp_path / "out"), stack=2, workers=1)
     assert len(found) == 5
@@ -48,7 +51,9 @@ def test_equal_configurations_share_their_runs(points, folders, tmp_path):
         (10, 20, [(k,) for k in range(10)]),
     ],
 )
-def test_seeds_are_stacked_as_it_suits_the_machine(stack, workers, expected, points, folders, tmp_path):
+def test_seeds_are_stacked_as_it_suits_the_machine(
+    stack, workers, expected, points, folders, tmp_path
+):
     settings = {**SETTINGS, "scales": {"tiny": {**SETTINGS["scales"]["tiny"], "seeds": 10}}}
     write(folders[0] / "reproduce.yaml", settings)
     jobs = plan_jobs(points("drift"), Store(tmp_path / "out"), stack, workers)
@@ -68,20 +73,34 @@ def test_runs_in_the_store_are_kept_and_only_missing_seeds_are_added(points, fol
 
 def test_a_change_of_configuration_is_another_run_and_a_change_of_logging_is_not(points, folders):
     before = points("drift")[0].key
-    for change, same in (("algorithm.agent.tau=0.5", False), ("render.fps=7", True), ("trainer.threads=2", True)):
-        write(folders[0] / "reproduce.yaml", {**SETTINGS, "overrides": [*SETTINGS["overrides"], change]})
+    for change, same in (
+        ("algorithm.agent.tau=0.5", False),
+        ("render.fps=7", True),
+        ("trainer.threads=2", True),
+    ):
+        write(
+            folders[0] / "reproduce.yaml",
+            {**SETTINGS, "overrides": [*SETTINGS["overrides"], change]},
+        )
         assert (points("drift")[0].key == before) == same, change
 
 
 def test_what_starts_from_another_run_waits_for_it_and_names_it(points, folders, tmp_path):
     arms = {"from it": ["arm=rl", "init_from.run=run:first"], "alone": ["arm=rl"]}
-    content = {**EXPERIMENT, "figure": "curves", "sources": {"first": ["arm=rl", "env.base.drift=0.0"]}, "arms": arms}
+    content = {
+        **EXPERIMENT,
+        "figure": "curves",
+        "sources": {"first": ["arm=rl", "env.base.drift=0.0"]},
+        "arms": arms,
+    }
     write(folders[0] / "experiment/chain.yaml", {k: v for k, v in content.items() if k != "sweep"})
     jobs = plan_jobs(points("chain"), Store(tmp_path / "out"), stack=2, workers=9)
     source = jobs[0].run
     assert source.seeds == (0, 1)  # whole, whatever the number of workers
     for job in jobs[1:]:
-        starts = any(f"init_from.run={quoted(source.path)}" == override for override in job.overrides)
+        starts = any(
+            f"init_from.run={quoted(source.path)}" == override for override in job.overrides
+        )
         assert (job.needs == (source,)) == starts == ("from-it" in job.run.name)
 
 
@@ -93,7 +112,10 @@ def test_what_starts_from_another_run_waits_for_it_and_names_it(points, folders,
         ({"seeds": 3}, "wrong.seeds: unknown key"),
         ({"sweep": None}, "needs a sweep"),
         ({"arms": {"a": ["init_from.run=run:nobody"]}}, "unknown source 'nobody'"),
-        ({"sweep": {"key": "k", "label": "l", "values": {"other": [1]}}}, "expected values for 'tiny'"),
+        (
+            {"sweep": {"key": "k", "label": "l", "values": {"other": [1]}}},
+            "expected values for 'tiny'",
+        ),
     ],
 )
 def test_a_wrong_experiment_is_explained(change, message, points, folders):
@@ -133,7 +155,11 @@ def source(tmp_path_factory):
     evaluation = {"every": 0, "episodes": 1, "final_episodes": 1, "seed": 0, "slots": 1}
     trainer = {**point.config["trainer"], **settings, "evaluation": evaluation}
     agent = {**point.config["algorithm"]["agent"], "compiled": False}
-    config = {**point.config, "trainer": trainer, "algorithm": {**point.config["algorithm"], "agent": agent}}
+    config = {
+        **point.config,
+        "trainer": trainer,
+        "algorithm": {**point.config["algorithm"], "agent": agent},
+    }
     with assembly.trainer(config, run_dir) as made:
         write_results(made.run(), made.settings.seeds, run_dir)
     (run_dir / "config.yaml").write_text(yaml.safe_dump(config))
@@ -152,10 +178,14 @@ def test_the_papers_ten_experiments_are_there():
 
 @pytest.mark.parametrize("scale", ["quick", pytest.param("paper", marks=pytest.mark.slow)])
 def test_every_experiment_is_made_of_valid_runs(scale, source):
-    arms = {(point.experiment, point.arm): point for point in paper_points(scale)}  # at the last setting
+    arms = {
+        (point.experiment, point.arm): point for point in paper_points(scale)
+    }  # at the last setting
     compose = partial(cli._compose, [OURS])
     for point in {point.key: point for point in arms.values()}.values():
         config = point.config
         if point.sources:
-            config = compose([override.replace("run:sim-policy", quoted(source)) for override in point.overrides])
+            config = compose(
+                [override.replace("run:sim-policy", quoted(source)) for override in point.overrides]
+            )
         assert not checks.problems(config), point.name

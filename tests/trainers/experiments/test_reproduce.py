@@ -26,7 +26,9 @@ from rrl.trainers.training.interruption import Interrupted
 
 
 def results(project):
-    return {path.parent: path.stat().st_mtime_ns for path in project.glob("out/runs/*/*/results.json")}
+    return {
+        path.parent: path.stat().st_mtime_ns for path in project.glob("out/runs/*/*/results.json")
+    }
 
 
 def metrics(run_dir):
@@ -37,10 +39,19 @@ def metrics(run_dir):
 def test_a_failed_run_is_named_and_tried_again_while_the_others_are_kept(project, run, monkeypatch):
     """One arm starts from a run that fails, the other does not."""
     arms = {"from it": ["arm=rl", "init_from.run=run:first"], "residual RL": ["arm=residual"]}
-    content = {"figure": "curves", "sources": {"first": ["arm=rl", "env.base.drift=0.03"]}, "arms": arms}
-    write(project / "configs/experiment/chain.yaml", {"title": "A point that drifts", "paper": "none", **content})
+    content = {
+        "figure": "curves",
+        "sources": {"first": ["arm=rl", "env.base.drift=0.03"]},
+        "arms": arms,
+    }
+    write(
+        project / "configs/experiment/chain.yaml",
+        {"title": "A point that drifts", "paper": "none", **content},
+    )
     monkeypatch.setenv("BROKEN_DRIFT", "0.03")
-    with pytest.raises(RuntimeError, match="2 runs are missing, 1 failed; the same command tries them again"):
+    with pytest.raises(
+        RuntimeError, match="2 runs are missing, 1 failed; the same command tries them again"
+    ):
         run("chain")
     said = (project / "said.txt").read_text()
     assert "FAILED chain-first-" in said
@@ -70,7 +81,9 @@ def test_a_failed_run_is_named_and_tried_again_while_the_others_are_kept(project
 def long_experiment(project):
     overrides = ["trainer.total_steps=1500", "trainer.evaluation.every=0"]
     content = {**EXPERIMENT, "figure": "curves", "overrides": overrides}
-    write(project / "configs/experiment/long.yaml", {k: v for k, v in content.items() if k != "sweep"})
+    write(
+        project / "configs/experiment/long.yaml", {k: v for k, v in content.items() if k != "sweep"}
+    )
     scale = {**SETTINGS["scales"]["tiny"], "seeds": 1}
     write(project / "configs/reproduce.yaml", {**SETTINGS, "scales": {"tiny": scale}})
 
@@ -78,7 +91,13 @@ def long_experiment(project):
 def steps(project):
     rows = [read_metrics(path.parent) for path in project.glob("out/runs/*/*/metrics.csv")]
     return max(
-        (point[0] for row in rows for series in row.values() for points in series.values() for point in points),
+        (
+            point[0]
+            for row in rows
+            for series in row.values()
+            for points in series.values()
+            for point in points
+        ),
         default=0,
     )
 
@@ -104,7 +123,9 @@ def test_ctrl_c_saves_the_runs_and_the_same_command_goes_on(project, run):
     thread.join()
     assert "to go on:\n  rrl reproduce long" in (project / "said.txt").read_text()
     (run_dir,) = project.glob("out/runs/*/*")
-    assert "rrl train resume=" in (run_dir / "log.txt").read_text()  # it ended by itself, with a checkpoint
+    assert (
+        "rrl train resume=" in (run_dir / "log.txt").read_text()
+    )  # it ended by itself, with a checkpoint
     reached = steps(project)
     assert 200 <= reached < 1500
     assert sorted((run_dir / "checkpoints").iterdir())[-1].name == f"checkpoint-{reached:012d}"
@@ -138,7 +159,9 @@ def test_a_killed_command_takes_its_runs_along_and_the_next_one_goes_on(project)
     assert reached < 1500
     record = json.loads((run_dir / "run.json").read_text())
     assert record["seeds"] == [0]
-    said = subprocess.run([*command, "workers=1"], capture_output=True, text=True, check=True, timeout=250)
+    said = subprocess.run(
+        [*command, "workers=1"], capture_output=True, text=True, check=True, timeout=250
+    )
     assert "1 runs, 0 of them finished" in said.stdout
     assert f"resuming from {run_dir}/checkpoints/checkpoint-{reached:012d}" in (
         run_dir / "log.txt"
@@ -160,7 +183,9 @@ def test_a_stack_gives_what_its_seeds_give_alone(project, run):
         expected = metrics(together[path.parent.name])
         for name, series in metrics(path).items():
             if not name.startswith("time/"):
-                np.testing.assert_allclose(series[seed], expected[name][seed], rtol=1e-3, atol=1e-4, err_msg=name)
+                np.testing.assert_allclose(
+                    series[seed], expected[name][seed], rtol=1e-3, atol=1e-4, err_msg=name
+                )
 
 
 @pytest.mark.slow
@@ -189,7 +214,10 @@ def test_the_command_line_explains_what_it_does_not_know(project, capsys):
 
 def test_a_terminal_shows_runs_done_success_and_steps(tmp_path):
     console = Console(file=io.StringIO(), force_terminal=True, width=160)
-    jobs = [Job(StoredRun(tmp_path / name / "seeds-0-1", name, (0, 1)), (), 1000) for name in ("first", "second")]
+    jobs = [
+        Job(StoredRun(tmp_path / name / "seeds-0-1", name, (0, 1)), (), 1000)
+        for name in ("first", "second")
+    ]
     second = jobs[1].run.path
     second.mkdir(parents=True)
     rows = [

@@ -42,5 +42,7 @@ def test_variance_is_of_metres_by_seed_and_axis(tmp_path):
 
 def test_a_policy_that_does_not_see_the_position_is_named(tmp_path):
     run = make_run(tmp_path, {"goal": {}}, torch.zeros(2, 3))
-    with pytest.raises(ValueError, match=r"expected 'end_effector_position' among the inputs \['goal'\]"):
+    with pytest.raises(
+        ValueError, match=r"expected 'end_effector_position' among the inputs \['goal'\]"
+    ):
         spatial_variance(run)

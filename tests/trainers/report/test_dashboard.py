@@ -27,7 +27,9 @@ LOGGED = [
 @pytest.fixture
 def view():
     """What would be sent to the server."""
-    return dashboard.build("somebody", "rrl")._to_model().model_dump(by_alias=True, exclude_none=True)
+    return (
+        dashboard.build("somebody", "rrl")._to_model().model_dump(by_alias=True, exclude_none=True)
+    )
 
 
 def sections(view):
@@ -37,7 +39,13 @@ def sections(view):
 def test_every_group_of_metrics_has_its_section(view):
     found = sections(view)
     assert (view["entity"], view["project"]) == ("somebody", "rrl")
-    for name in ("Learning", "Rescues and regressions", "Controller and residual", "Contact", "Training"):
+    for name in (
+        "Learning",
+        "Rescues and regressions",
+        "Controller and residual",
+        "Contact",
+        "Training",
+    ):
         assert all(panel["viewType"] == "Run History Line Plot" for panel in found[name])
     media, *tables = found["Final evaluation"]
     assert media["config"]["mediaKeys"] == ["media/video", "media/learning_curve"]
@@ -50,7 +58,9 @@ def test_runs_are_grouped_and_drawn_over_environment_steps(view):
     (runs,) = section["runSets"]
     assert [entry["name"] for entry in runs["grouping"]] == ["group", "jobType"]
     assert section["settings"]["xAxis"] == "env_steps"
-    lines = [p["config"] for panels in sections(view).values() for p in panels if "Line" in p["viewType"]]
+    lines = [
+        p["config"] for panels in sections(view).values() for p in panels if "Line" in p["viewType"]
+    ]
     assert {line["xAxis"] for line in lines} == {"env_steps"}
 
 
@@ -59,13 +69,18 @@ def test_every_line_panel_finds_what_a_run_logs_and_no_seed(view):
         for panel in panels:
             if pattern := panel["config"].get("metricRegex"):
                 assert [name for name in LOGGED if re.search(pattern, name)], pattern
-                assert not [name for name in LOGGED if re.search(pattern, f"seed_0/{name}")], pattern
+                assert not [name for name in LOGGED if re.search(pattern, f"seed_0/{name}")], (
+                    pattern
+                )
 
 
 def test_a_panel_shows_the_controller_beside_the_residual():
     pattern = dashboard.line_plot(CONTACT[0])["metric_regex"]
     found = [name for name in LOGGED if re.search(pattern, name)]
-    assert found == ["eval/misaligned/peak_contact_force", "eval/misaligned/controller_peak_contact_force"]
+    assert found == [
+        "eval/misaligned/peak_contact_force",
+        "eval/misaligned/controller_peak_contact_force",
+    ]
 
 
 def test_what_is_missing_is_said(monkeypatch, capsys):

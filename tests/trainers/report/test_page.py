@@ -35,7 +35,9 @@ def page(tmp_path):
 
 def test_nothing_is_loaded_from_elsewhere_and_plotly_is_there_once(page, tmp_path):
     source = page.write(tmp_path / "new" / "page.html").read_text()
-    assert not re.findall(r"""<(?:script|link|img|video|iframe)[^>]*(?:src|href)=["'](?!data:)""", source)
+    assert not re.findall(
+        r"""<(?:script|link|img|video|iframe)[^>]*(?:src|href)=["'](?!data:)""", source
+    )
     assert source.count("plotly.js v") == 1
     assert not list((tmp_path / "new").glob(".*"))
 
@@ -53,7 +55,9 @@ def test_a_row_of_the_wrong_length_is_refused():
         Page("Plain").table(["a", "b"], [["1"]])
 
 
-@pytest.mark.parametrize(("method", "ending"), [("image", ".mp4"), ("video", ".png"), ("image", ".exe")])
+@pytest.mark.parametrize(
+    ("method", "ending"), [("image", ".mp4"), ("video", ".png"), ("image", ".exe")]
+)
 def test_a_file_of_the_wrong_kind_is_refused(method, ending, tmp_path):
     with pytest.raises(ValueError, match="expected a file that ends in one of"):
         getattr(Page("Plain"), method)(tmp_path / f"file{ending}")

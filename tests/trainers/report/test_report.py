@@ -24,7 +24,9 @@ STEPS = range(0, 1001, 50)
 def episodes(solved, force):
     peaks = {"contact_force": np.full(EPISODES, force), "tilt": np.full(EPISODES, 0.1)}
     success = np.arange(EPISODES) < solved
-    return Episodes(success - 5.0, np.full(EPISODES, 50), success, np.zeros(EPISODES, dtype=bool), peaks)
+    return Episodes(
+        success - 5.0, np.full(EPISODES, 50), success, np.zeros(EPISODES, dtype=bool), peaks
+    )
 
 
 def make_run(folder, arm="residual", seeds=(0, 1, 2), finished=True, **changes):
@@ -42,11 +44,24 @@ def make_run(folder, arm="residual", seeds=(0, 1, 2), finished=True, **changes):
     logger = CSVLogger()
     logger.start(folder, config, seeds, 0)
     for step in STEPS:
-        comparisons = [Comparison(episodes(step // 60 + k, 30.0 + k), episodes(4, 20.0)) for k in range(len(seeds))]
+        comparisons = [
+            Comparison(episodes(step // 60 + k, 30.0 + k), episodes(4, 20.0))
+            for k in range(len(seeds))
+        ]
         rows = [c.summary() for c in comparisons]
-        logger.log({f"eval/misaligned/{name}": [row[name] for row in rows] for name in rows[0]}, step)
-        logger.log({"loss/loss_critic": [1.0 / (1 + step)] * len(seeds), "safety/step": [0.1] * len(seeds)}, step)
-        logger.log({"action/residual_share": [0.4] * len(seeds), "time/update": [2.0] * len(seeds)}, step)
+        logger.log(
+            {f"eval/misaligned/{name}": [row[name] for row in rows] for name in rows[0]}, step
+        )
+        logger.log(
+            {
+                "loss/loss_critic": [1.0 / (1 + step)] * len(seeds),
+                "safety/step": [0.1] * len(seeds),
+            },
+            step,
+        )
+        logger.log(
+            {"action/residual_share": [0.4] * len(seeds), "time/update": [2.0] * len(seeds)}, step
+        )
     logger.finish()
     if finished:
         write_results({"misaligned": comparisons, "aligned": comparisons}, list(seeds), folder)
@@ -83,7 +98,9 @@ def test_runs_are_compared_and_switched_in_a_browser(runs, tmp_path):
     page = write_report(find_runs(runs), tmp_path / "comparison.html")
     with opened(page) as tab:
         assert tab.title() == "insertion-residual, insertion-rl"
-        rows = [row.split("\t") for row in tab.locator("table").nth(1).locator("tr").all_inner_texts()]
+        rows = [
+            row.split("\t") for row in tab.locator("table").nth(1).locator("tr").all_inner_texts()
+        ]
         assert rows[1][:2] == ["misaligned", "insertion-residual"]
         assert rows[1][-2:] == ["13.0", "0.0"]
         assert rows[2][:3] == ["misaligned", "insertion-rl", ""]  # no controller to compare with

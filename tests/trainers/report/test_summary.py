@@ -14,7 +14,9 @@ def episodes(successes, n=20, returns=-1.0):
 
 
 def test_cells_hold_rates_intervals_and_changes():
-    results = {"misaligned": [Comparison(episodes(15), episodes(2)), Comparison(episodes(19), episodes(2))]}
+    results = {
+        "misaligned": [Comparison(episodes(15), episodes(2)), Comparison(episodes(19), episodes(2))]
+    }
     (row,) = rows(results, [0, 1])
     assert row[0] == "misaligned"
     assert row[1].startswith("10% [3%, 30%]")

@@ -92,7 +92,9 @@ def test_when_none_is_whole_every_reason_is_given(stopped, make):
     for path in (stopped / "checkpoints").iterdir():
         truncate(path / "components/0000-agent/state.pt")
     trainer = make()
-    with pytest.raises(ValueError, match=r"(?s)no checkpoint in .* is whole.*200: .*state.pt has .*100: .*state.pt"):
+    with pytest.raises(
+        ValueError, match=r"(?s)no checkpoint in .* is whole.*200: .*state.pt has .*100: .*state.pt"
+    ):
         trainer.resume()
     trainer.close()
 
@@ -135,12 +137,20 @@ def test_a_damaged_transition_costs_nothing_but_itself(stopped, make, caplog):
 
 def test_a_checkpoint_does_not_grow_with_the_buffer(make, tmp_path):
     def size(run_dir, **changes):
-        trainer = make(run_dir, evaluation={"every": 0, "episodes": 1, "final_episodes": 1, "slots": 1}, **changes)
+        trainer = make(
+            run_dir,
+            evaluation={"every": 0, "episodes": 1, "final_episodes": 1, "slots": 1},
+            **changes,
+        )
         trainer.run()
         trainer.close()
         return sum(p.stat().st_size for p in newest(tmp_path / run_dir).rglob("*") if p.is_file())
 
-    quick = {"warmup_steps": 40, "updates_per_step": 0.05, "checkpoint": CheckpointSettings(every=0)}
+    quick = {
+        "warmup_steps": 40,
+        "updates_per_step": 0.05,
+        "checkpoint": CheckpointSettings(every=0),
+    }
     small, large = size("small", total_steps=100, **quick), size("large", total_steps=1000, **quick)
     assert abs(small - large) < 64  # digits of the counters
 
@@ -201,7 +211,9 @@ def test_what_a_simulation_made_after_the_checkpoint_is_made_again_and_kept(make
     (tail,) = resumed.store.log.folder.glob("tail_000000000100_*.bin")
     resumed.run()
     record = resumed.store.log._record.itemsize
-    again = (resumed.store.log.folder / "segment_000000.bin").read_bytes()[100 * record : 140 * record]
+    again = (resumed.store.log.folder / "segment_000000.bin").read_bytes()[
+        100 * record : 140 * record
+    ]
     assert tail.read_bytes() == again
     assert (resumed.replay.storage[:140] == dead.replay.storage[:140]).all()
     resumed.close()
@@ -210,7 +222,11 @@ def test_what_a_simulation_made_after_the_checkpoint_is_made_again_and_kept(make
 def test_what_hardware_made_after_the_checkpoint_is_learned_from_again(make_trainer, caplog):
     """An environment without a state: all transitions stay, and the agent is the one that the crash destroyed."""
     dead = run_after_crash(make_trainer, 200)
-    lost = {name: value.clone() for name, value in dead.agent.state_dict().items() if isinstance(value, torch.Tensor)}
+    lost = {
+        name: value.clone()
+        for name, value in dead.agent.state_dict().items()
+        if isinstance(value, torch.Tensor)
+    }
     resumed = make_trainer(total_steps=200)
     resumed.resume()
     assert not resumed.experience.continues
@@ -285,7 +301,9 @@ def test_loading_executes_nothing(stopped, make, tmp_path, legacy):
 
 def test_a_changed_run_is_refused_with_the_difference(stopped, make):
     trainer = make(batch_size=16, num_seeds=2)
-    with pytest.raises(ValueError, match=r"(?s)trainer.batch_size: 32 -> 16.*trainer.num_seeds: 1 -> 2"):
+    with pytest.raises(
+        ValueError, match=r"(?s)trainer.batch_size: 32 -> 16.*trainer.num_seeds: 1 -> 2"
+    ):
         trainer.resume()
     trainer.close()
 

@@ -51,7 +51,9 @@ def at_step(trainer, env_steps, action):
 
 def agents_equal(one, other):
     expected, actual = one.agent.state_dict(), other.agent.state_dict()
-    return all(torch.equal(v, actual[k]) for k, v in expected.items() if isinstance(v, torch.Tensor))
+    return all(
+        torch.equal(v, actual[k]) for k, v in expected.items() if isinstance(v, torch.Tensor)
+    )
 
 
 def test_sigkill_at_random_moments_loses_nothing(tmp_path):
@@ -99,7 +101,9 @@ def test_the_second_signal_ends_the_process_at_once():
         "    for _ in range(2):\n        os.kill(os.getpid(), signal.SIGINT)\n"
         "    print('still there')"
     )
-    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    result = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60
+    )
     assert result.returncode == -signal.SIGINT
     assert "still there" not in result.stdout
 
@@ -126,7 +130,9 @@ def test_the_command_prints_how_to_go_on(tmp_path):
     ]
     with start(f"hydra.run.dir='{run}'", *quick, "trainer.evaluation.episodes=1") as process:
         metrics = run / "metrics.csv"
-        while process.poll() is None and not (metrics.exists() and "train/reward" in metrics.read_text()):
+        while process.poll() is None and not (
+            metrics.exists() and "train/reward" in metrics.read_text()
+        ):
             time.sleep(0.05)
         process.send_signal(signal.SIGTERM)
         output, errors = process.communicate(timeout=60)
@@ -218,8 +224,13 @@ def test_a_broken_logger_is_said_once_and_left_alone(make_trainer, caplog, metho
     trainer = make_trainer(loggers=[broken, CSVLogger()], total_steps=60, warmup_steps=40)
     trainer.run()
     trainer.close()
-    (warning,) = [r for r in caplog.records if r.levelno == logging.WARNING and "Broken" in r.message]
-    assert warning.message == "Broken failed (ConnectionError: the dashboard is gone); training goes on without it"
+    (warning,) = [
+        r for r in caplog.records if r.levelno == logging.WARNING and "Broken" in r.message
+    ]
+    assert (
+        warning.message
+        == "Broken failed (ConnectionError: the dashboard is gone); training goes on without it"
+    )
     assert broken.calls.count(method) == 1
     steps = {step for step, _ in read_metrics(trainer.run_dir)["train/reward"][0]}
     assert steps == {20, 40, 60}
@@ -229,7 +240,9 @@ def test_wandb_goes_offline_when_its_server_cannot_be_reached(make_trainer, monk
     monkeypatch.setenv("WANDB_BASE_URL", "http://127.0.0.1:9")
     monkeypatch.setenv("WANDB_API_KEY", "0" * 40)
     monkeypatch.setattr(WandbLogger, "CONNECT_SECONDS", 1.0)
-    trainer = make_trainer(loggers=[WandbLogger(online=True), CSVLogger()], total_steps=60, warmup_steps=40)
+    trainer = make_trainer(
+        loggers=[WandbLogger(online=True), CSVLogger()], total_steps=60, warmup_steps=40
+    )
     trainer.run()
     trainer.close()
     assert "logging offline" in caplog.text
@@ -270,9 +283,14 @@ class BadSensor(PointMass):
 
 
 def test_what_is_not_finite_is_not_stored(make_trainer, factory):
-    trainer = make_trainer(environment=replace(factory, base=lambda num_envs=1: BadSensor([num_envs])))
+    trainer = make_trainer(
+        environment=replace(factory, base=lambda num_envs=1: BadSensor([num_envs]))
+    )
     at_step(trainer, 60, lambda: setattr(trainer.experience.env.base_env, "broken", True))
-    with pytest.raises(FloatingPointError, match=r"the environment gave numbers that are not finite in .*observation"):
+    with pytest.raises(
+        FloatingPointError,
+        match=r"the environment gave numbers that are not finite in .*observation",
+    ):
         trainer.run()
     assert trainer.store.log.count == 60
     trainer.close()
@@ -288,7 +306,9 @@ class Exploding(TD3):
 
 def test_a_diverged_learner_stops_with_its_last_good_checkpoint(make_trainer, settings):
     trainer = make_trainer(agent=partial(Exploding, hidden=[8]), total_steps=300)
-    with pytest.raises(FloatingPointError, match="the update gave numbers that are not finite in loss_critic"):
+    with pytest.raises(
+        FloatingPointError, match="the update gave numbers that are not finite in loss_critic"
+    ):
         trainer.run()
     trainer.close()
     resumed = make_trainer(total_steps=300, agent=partial(TD3, hidden=[8]))

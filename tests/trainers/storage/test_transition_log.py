@@ -54,7 +54,11 @@ def test_what_was_appended_is_read_back_across_segments_and_after_reopening(tmp_
 def test_the_format_is_plain(tmp_path):
     filled(tmp_path)
     schema = json.loads((tmp_path / "schema.json").read_text())
-    assert schema["fields"] == [["action", "float64", [1]], ["next/done", "bool", [1]], ["observation", "float32", [3]]]
+    assert schema["fields"] == [
+        ["action", "float64", [1]],
+        ["next/done", "bool", [1]],
+        ["observation", "float32", [3]],
+    ]
     assert (tmp_path / "segment_000000.bin").stat().st_size == 10 * RECORD_BYTES
 
 
@@ -68,7 +72,10 @@ def test_a_flipped_bit_is_found_in_its_record(tmp_path, record, byte):
     path.write_bytes(content)
     _, damaged = log.read(0, 25)
     assert record in damaged
-    assert set(damaged) <= {record, record + 1}  # a flipped checksum also disagrees with the next record's
+    assert set(damaged) <= {
+        record,
+        record + 1,
+    }  # a flipped checksum also disagrees with the next record's
 
 
 def test_a_torn_record_does_not_count(tmp_path):
@@ -99,7 +106,10 @@ def test_cutting_keeps_the_tail(tmp_path, count):
 def test_old_segments_are_forgotten_whole(tmp_path):
     log = filled(tmp_path)
     log.forget(19)
-    assert sorted(p.name for p in tmp_path.glob("segment_*.bin")) == ["segment_000001.bin", "segment_000002.bin"]
+    assert sorted(p.name for p in tmp_path.glob("segment_*.bin")) == [
+        "segment_000001.bin",
+        "segment_000002.bin",
+    ]
     assert_reads(log, 10, 25)
     with pytest.raises(ValueError, match=r"segment_000000.bin ends before record 10"):
         log.read(5, 25)
@@ -108,7 +118,9 @@ def test_old_segments_are_forgotten_whole(tmp_path):
 
 def test_other_entries_are_refused(tmp_path):
     log = filled(tmp_path)
-    with pytest.raises(ValueError, match=r"expected transitions with \['action', 'next/done', 'observation'\]"):
+    with pytest.raises(
+        ValueError, match=r"expected transitions with \['action', 'next/done', 'observation'\]"
+    ):
         log.append(transitions(25, 1).exclude("action"))
     wider = transitions(25, 1)
     wider["action"] = torch.zeros(1, 2, dtype=torch.float64)

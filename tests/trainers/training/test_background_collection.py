@@ -110,7 +110,10 @@ def test_a_stochastic_policys_own_noise_is_part_of_a_checkpoint(make):
 
 
 def test_what_the_environment_raises_is_raised_by_the_run(make):
-    with make(base=partial(Slow, fails_at=70)) as trainer, pytest.raises(ValueError, match="the gripper is open"):
+    with (
+        make(base=partial(Slow, fails_at=70)) as trainer,
+        pytest.raises(ValueError, match="the gripper is open"),
+    ):
         trainer.run()
     assert trainer.store.log.count == 2 * 60
 
@@ -173,7 +176,10 @@ def test_a_run_goes_on_from_a_checkpoint_made_while_the_next_collection_was_unde
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # the compiler warns of its own doings
 def test_a_seed_learns_alike_alone_and_in_a_stack_with_the_fast_settings(make):
-    fast = {"agent": partial(TD3, hidden=[32, 32], gamma=0.9, compiled=True), "matmul_precision": "medium"}
+    fast = {
+        "agent": partial(TD3, hidden=[32, 32], gamma=0.9, compiled=True),
+        "matmul_precision": "medium",
+    }
     stack = run(make("stack", base=Slow, seed=3, num_seeds=3, **fast))
     alone = run(make("alone", base=Slow, seed=4, num_seeds=1, **fast))
     stacked, single = stack.replay.storage[:].reshape(-1, 3)[:, 1], alone.replay.storage[:]
@@ -182,5 +188,7 @@ def test_a_seed_learns_alike_alone_and_in_a_stack_with_the_fast_settings(make):
             stacked[key][:60], single[key][:60]
         )  # two collections before the first update, one beside it
         torch.testing.assert_close(stacked[key], single[key], rtol=1e-3, atol=1e-4)
-    for mine, other in zip(stack.agent.policy_of(1).parameters(), alone.agent.policy_of(0).parameters(), strict=True):
+    for mine, other in zip(
+        stack.agent.policy_of(1).parameters(), alone.agent.policy_of(0).parameters(), strict=True
+    ):
         torch.testing.assert_close(mine, other, rtol=1e-3, atol=1e-4)

@@ -8,7 +8,16 @@ def test_a_profile_names_physics_transforms_policy_sampling_and_update(make_trai
         trainer.run()
     rows = trainer.profile.rows()
     names = {name.strip() for name, _ in rows}
-    assert {"collect", "environment", "ResidualAction", "policy", "exploration", "store", "sample", "update"} <= names
+    assert {
+        "collect",
+        "environment",
+        "ResidualAction",
+        "policy",
+        "exploration",
+        "store",
+        "sample",
+        "update",
+    } <= names
     assert trainer.profile.env_steps == 120  # rounds of 20 steps, the first updates at step 100
     start = next(i for i, (name, _) in enumerate(rows) if name == "collect")
     parts = [value for name, value in rows[start + 1 :] if name.startswith("  ")]

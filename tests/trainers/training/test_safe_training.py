@@ -17,13 +17,18 @@ from rrl.envs import InsertionEnv
 from rrl.trainers.configuration import build as assembly
 
 SIM = ["env=insertion-sim", "safety.force.force_key=wrench", "safety.force.axes=[0,1,2]"]
-VARIANTS = {"real": ["safety.force.onset=10.0"], "sim": SIM}  # within the other limits, real stays below 28 N
+VARIANTS = {
+    "real": ["safety.force.onset=10.0"],
+    "sim": SIM,
+}  # within the other limits, real stays below 28 N
 CORNERS = [[x, y, z] for x in (-1.0, 0.0, 1.0) for y in (0.0, 1.0) for z in (-1.0, 0.0, 1.0)]
 
 
 def resolve(*overrides):
     with initialize_config_module("rrl.configs", version_base="1.3"):
-        config = compose("train", overrides=["safety=all", "residual_scale=2.0", "logger=csv", *overrides])
+        config = compose(
+            "train", overrides=["safety=all", "residual_scale=2.0", "logger=csv", *overrides]
+        )
     return OmegaConf.to_container(config, resolve=True)
 
 
@@ -114,7 +119,9 @@ def test_training_exceeds_no_limit_even_towards_harm(variant, monkeypatch, tmp_p
     assert watch.steps >= 2 * 1200 + 2 * 4 * 10 * 50  # training, and both seeds' evaluations
     first = next(iter(results))
     for comparison in results[first]:
-        assert comparison.residual.returns.mean() < comparison.controller.returns.mean()  # it did learn harm
+        assert (
+            comparison.residual.returns.mean() < comparison.controller.returns.mean()
+        )  # it did learn harm
         assert comparison.summary()["safety_step"] > 0
     with (tmp_path / "metrics.csv").open() as file:
         logged = {row["metric"] for row in csv.DictReader(file)}

@@ -30,7 +30,9 @@ def test_the_ramp_leads_from_the_controller_to_the_whole_residual(make_trainer):
     assert trainer.experience.ramp.share == 1.0
 
 
-def test_exploration_decays_over_the_environment_steps_of_a_seed_and_resumes_where_it_was(make_trainer):
+def test_exploration_decays_over_the_environment_steps_of_a_seed_and_resumes_where_it_was(
+    make_trainer,
+):
     decaying = partial(GaussianExploration, sigma=0.4, sigma_end=0.1, decay_steps=150)
     first = make_trainer(exploration=decaying, total_steps=100, warmup_steps=40, num_seeds=2)
     first.run()
@@ -50,13 +52,17 @@ def test_the_stored_action_is_the_one_that_acted(make_trainer):
     data = trainer.experience.rollout(trainer.env_steps)
     trainer.close()
     executed = (data["base_action"] + data["action"]).clamp(-1.0, 1.0)
-    assert (data["next", "executed_action"] - executed).abs().max() < 0.5  # ControlNoise of 0.05 lies between
+    assert (
+        data["next", "executed_action"] - executed
+    ).abs().max() < 0.5  # ControlNoise of 0.05 lies between
     assert trainer.store.interleave(data)["action"].abs().max() == data["action"].abs().max()
 
 
 def test_the_policy_reads_the_controllers_action_and_its_own_last_ones(make_trainer, factory):
     inputs = {"goal": Input(), "base_action": Input(), "previous_action": Input(scale=2.0)}
-    trainer = make_trainer(environment=replace(factory, inputs=inputs, action_history=2), total_steps=200)
+    trainer = make_trainer(
+        environment=replace(factory, inputs=inputs, action_history=2), total_steps=200
+    )
     data = trainer.experience.rollout(trainer.env_steps)  # [1, T]
     said = data["action"][0]
     goal, base_action, older, last = data["observation"][0].split(2, -1)

@@ -13,7 +13,10 @@ from rrl.trainers.environment import EnvironmentFactory, Input
 
 def composed(*overrides):
     with initialize_config_module("rrl.configs", version_base="1.3"):
-        config = compose("train", overrides=["name=run", "logger=[csv]", "env.sensing.camera_noise=null", *overrides])
+        config = compose(
+            "train",
+            overrides=["name=run", "logger=[csv]", "env.sensing.camera_noise=null", *overrides],
+        )
     return OmegaConf.to_container(config, resolve=True)
 
 
@@ -44,7 +47,9 @@ def test_a_mirrored_episode_goes_the_mirrored_way(seed):
     symmetry, which = factory.symmetry(), torch.tensor([1])
     actions = 0.5 * torch.randn(30, 1, 3, generator=torch.Generator().manual_seed(seed))
     original = observations(factory, 20.0, actions)
-    mirrored = observations(factory, -20.0, [symmetry.reflect_action(action, which) for action in actions])
+    mirrored = observations(
+        factory, -20.0, [symmetry.reflect_action(action, which) for action in actions]
+    )
     expected = symmetry.reflect(original, which.expand(30))
     moves = (expected - original).abs().amax(0) > 0.5  # what the mirror changes visibly
     assert moves.sum() >= 3
@@ -70,5 +75,7 @@ def test_the_switch_decides_and_an_environment_without_mirrors_has_none():
     for overrides, uses in (([], True), ([off], False), (["env.symmetries=null"], False)):
         config = composed(*overrides)
         assert not assembly.checks.problems(config)
-        agent = assembly.agent(config)(input_sizes={"observation": 26}, action_size=3, num_seeds=1, seed=0)
+        agent = assembly.agent(config)(
+            input_sizes={"observation": 26}, action_size=3, num_seeds=1, seed=0
+        )
         assert isinstance(agent.policy.module, SymmetricActor) is uses

@@ -19,7 +19,9 @@ def _restore():
 
 def test_bfloat16_products_without_amx_are_named(monkeypatch, settings):
     monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda: False)
-    with pytest.warns(UserWarning, match="trainer.matmul_precision=medium: this processor has no AMX"):
+    with pytest.warns(
+        UserWarning, match="trainer.matmul_precision=medium: this processor has no AMX"
+    ):
         configure_process(settings(matmul_precision="medium"))
     assert torch.get_float32_matmul_precision() == "highest"
 
@@ -53,8 +55,17 @@ def test_a_run_with_two_threads_can_be_made_again(tmp_path):
     """The same configuration twice, each in a process of its own: the same transitions to the last bit."""
     logs = []
     for name in ("first", "second"):
-        arguments = ["trainer.num_seeds=3", "trainer.total_steps=450", "trainer.threads=2", "logger=[csv]"]
-        small = ["trainer.evaluation.every=0", "trainer.evaluation.final_episodes=2", "render.enabled=false"]
+        arguments = [
+            "trainer.num_seeds=3",
+            "trainer.total_steps=450",
+            "trainer.threads=2",
+            "logger=[csv]",
+        ]
+        small = [
+            "trainer.evaluation.every=0",
+            "trainer.evaluation.final_episodes=2",
+            "render.enabled=false",
+        ]
         command = [
             sys.executable,
             "-m",
@@ -64,7 +75,14 @@ def test_a_run_with_two_threads_can_be_made_again(tmp_path):
             *small,
             f"hydra.run.dir={tmp_path / name}",
         ]
-        subprocess.run(command, check=True, capture_output=True, env={**os.environ, "OMP_NUM_THREADS": "2"})
-        logs.append(b"".join(path.read_bytes() for path in sorted((tmp_path / name / "transitions").glob("*.bin"))))
+        subprocess.run(
+            command, check=True, capture_output=True, env={**os.environ, "OMP_NUM_THREADS": "2"}
+        )
+        logs.append(
+            b"".join(
+                path.read_bytes()
+                for path in sorted((tmp_path / name / "transitions").glob("*.bin"))
+            )
+        )
     assert logs[0]
     assert logs[0] == logs[1]

@@ -46,7 +46,9 @@ def test_a_seed_learns_alike_alone_and_in_a_stack(make_trainer):
         assert torch.equal(stack[:warmup, 1][key], alone[:warmup, 0][key])
         # afterwards products of other sizes round differently in the last bits
         torch.testing.assert_close(stack[:, 1][key], alone[:, 0][key], rtol=1e-3, atol=1e-4)
-    for mine, other in zip(stacked_agent.policy_of(1).parameters(), agent.policy_of(0).parameters(), strict=True):
+    for mine, other in zip(
+        stacked_agent.policy_of(1).parameters(), agent.policy_of(0).parameters(), strict=True
+    ):
         torch.testing.assert_close(mine, other, rtol=1e-3, atol=1e-4)
 
 
@@ -111,13 +113,16 @@ def test_resuming_equals_never_having_stopped(make_trainer, variant):
     expected, resumed = whole.replay.storage[:], second.replay.storage[:]
     assert (expected == resumed).all()
     without_time = [
-        {k: v for k, v in read_metrics(t.run_dir).items() if not k.startswith("time/")} for t in (whole, second)
+        {k: v for k, v in read_metrics(t.run_dir).items() if not k.startswith("time/")}
+        for t in (whole, second)
     ]
     final = 80  # the shortened run evaluated there once more, at its end
     for metric, seeds in without_time[0].items():
         for seed, points in seeds.items():
             assert dict(points) == {
-                step: value for step, value in without_time[1][metric][seed] if step != final or step in dict(points)
+                step: value
+                for step, value in without_time[1][metric][seed]
+                if step != final or step in dict(points)
             }
     whole.close()
     second.close()

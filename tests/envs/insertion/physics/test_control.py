@@ -45,12 +45,16 @@ def test_joint_step_moves_the_tool_and_straightens_it(arm: tuple) -> None:
     moved = (after["tool_position"] - before["tool_position"])[0]
     np.testing.assert_allclose(moved, config.action_scale * action[0], atol=5e-4)
     left = (1 - config.ik_rotation_gain) * orientation_error(before)[0]
-    np.testing.assert_allclose(orientation_error(after)[0], left, atol=4e-4)  # the step's second order: 0.02^2
+    np.testing.assert_allclose(
+        orientation_error(after)[0], left, atol=4e-4
+    )  # the step's second order: 0.02^2
     assert np.abs(left).max() > 5e-3
 
 
 @pytest.mark.parametrize(("base_height", "low", "high"), [(-0.35, 0.0, 0.15), (0.0, 0.5, 1.0)])
-def test_pressing_at_shoulder_height_does_not_push_sideways(base_height: float, low: float, high: float) -> None:
+def test_pressing_at_shoulder_height_does_not_push_sideways(
+    base_height: float, low: float, high: float
+) -> None:
     config = make_config("real", {"base_height": base_height})
     start = StartState(compile_model(config), config)
     data = mujoco.MjData(model := compile_model(config))

@@ -1,0 +1,42 @@
+"""Seeds of episodes: training, following and final evaluation are apart by construction."""
+
+from __future__ import annotations
+
+import hashlib
+from enum import IntEnum
+
+__all__ = ["MAX_SEED", "Stream", "first_seed"]
+
+_BITS = 29
+MAX_SEED = 2**28
+"""Seeds that a user names are below this."""
+
+
+class Stream(IntEnum):
+    """What episodes are for; every stream has 2^29 seeds of its own."""
+
+    TRAINING = 0
+    FOLLOWING = 1
+    """Frozen episodes that are looked at during training, and by which anything may be chosen."""
+    FINAL = 2
+    """Frozen episodes of the final evaluation, which nothing is chosen by."""
+
+
+def first_seed(stream: Stream, seed: int, restart: int = 0) -> int:
+    """Return the seed of slot 0; slot ``i`` has this seed plus ``i``.
+
+    Args:
+        stream: What the episodes are for.
+        seed: Names the set of episodes, from 0 to ``MAX_SEED - 1``. Equal names give equal sets.
+        restart: How often the run has begun anew, as on hardware after a crash.
+
+    Returns:
+        A number below 2^31. Streams never meet, as long as a batch has at most 2^28 slots.
+
+    Raises:
+        ValueError: If ``seed`` is out of range.
+    """
+    if not 0 <= seed < MAX_SEED:
+        raise ValueError(f"seed: expected 0 to {MAX_SEED - 1}, got {seed}")
+    digest = hashlib.blake2b(f"{seed}/{restart}".encode(), digest_size=8).digest()
+    return (int(stream) << _BITS) + int.from_bytes(digest, "little") % MAX_SEED
