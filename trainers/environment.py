@@ -8,80 +8,80 @@ from functools import partial
 from typing import Any, Literal
 
 import torch
-from tensordict import NestedKey
-from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, TransformedEnv
-from torchrl.envs.transforms import (
-    CatTensors,
-    Compose,
-    DoubleToFloat,
-    FlattenObservation,
-    ObservationNorm,
-    Transform,
-)
+from torchrl.envs.transforms import Compose, DoubleToFloat, Transform
 
-from rrl.keys import ACTION, BASE_ACTION, OBSERVATION, PREVIOUS_ACTION
+from rrl.inputs import Input
+from rrl.keys import ACTION, BASE_ACTION, PREVIOUS_ACTION
 from rrl.symmetry import Symmetry, as_map
 from rrl.transforms import ActionHistory, ResidualAction
+
+__all__ = ["Batching", "EnvironmentFactory", "Input", "ResumableEnv"]
 
 Batching = Literal["native", "serial", "parallel"]
 _BATCHED = {"serial": SerialEnv, "parallel": ParallelEnv}
 
 
-@dataclass(frozen=True)
-class Input:
-    """How one observation entry enters the networks: ``(value - loc) * scale``."""
+class ResumableEnv(TransformedEnv):
+    """A transformed environment that knows what the policy sees next, and can begin with it.
 
-    loc: float | Sequence[float] = 0.0
-    scale: float | Sequence[float] = 1.0
+    Attributes:
+        next_input: Root entries after the last reset or step, resets of ended episodes included.
+    """
 
-    def __call__(self, value: torch.Tensor) -> torch.Tensor:
-        """Normalise ``value`` [..., n]."""
-        loc, scale = torch.as_tensor(self.loc), torch.as_tensor(self.scale)
-        return value * scale - loc * scale
+    next_input: TensorDictBase
 
-    def column(self, name: str, value: float | Sequence[float], size: int) -> torch.Tensor:
-        """``value`` as a vector of ``size`` numbers.
+    def begin_with(self, entries: TensorDictBase) -> None:
+        """Have the next reset return these entries."""
+        self._begin = entries
 
-        Raises:
-            ValueError: if a list does not have ``size`` numbers.
+    def reset(self, tensordict: TensorDictBase | None = None, **arguments: Any) -> TensorDictBase:
+        """Reset the environment, or return what :meth:`begin_with` was given."""
+        self.next_input = super().reset(tensordict, **arguments)
+        begin: TensorDictBase | None = self.__dict__.pop("_begin", None)
+        if begin is not None:
+            self.next_input = begin
+        return self.next_input
 
-        """
-        column = torch.as_tensor(value, dtype=torch.float32)
-        if column.ndim and column.numel() != size:
-            raise ValueError(
-                f"observation entry {name!r} has {size} numbers, but its loc or scale has {column.numel()}"
-            )
-        return column.expand(size)
+    def step_and_maybe_reset(
+        self, tensordict: TensorDictBase
+    ) -> tuple[TensorDictBase, TensorDictBase]:
+        """Step, and reset what has ended."""
+        out, self.next_input = super().step_and_maybe_reset(tensordict)
+        return out, self.next_input
 
 
 @dataclass(frozen=True)
 class EnvironmentFactory:
-    """Builds environments: ``[safety, disturbances, sensing, residual, memory, concatenation, normalisation]``.
+    """Builds environments: ``[safety, disturbances, sensing, residual, memory]`` on a bare one.
 
-    The order is the method's: on the way to the policy, sensing faults come before the controller, which therefore
-    sees what a real one would see; on the way back the superposition comes first, then the disturbance, and safety
-    limits have the last word. An environment in double precision is converted to float32 first.
+    The order is the method's: on the way to the policy, sensing faults come before the controller,
+    which therefore sees what a real one would see; on the way back the superposition comes first,
+    then the disturbance, and safety limits have the last word. An environment in double precision
+    is converted to float32 first.
 
     Args:
-        base: makes the bare environment; called as ``base(num_envs=..., seed=...)`` when ``batching`` is ``native``,
-            else without arguments.
-        controller: makes a controller.
-        inputs: the observation entries that the policy reads, in this order, and how each is normalised; a plain list
-            of names leaves them as they are. Beside the environment's own there are ``base_action`` and
-            ``previous_action``, what the policy said in the last ``action_history`` steps.
-        disturbances: make the transforms of the executed action (control noise).
-        sensing: make the transforms of the observation entries (camera noise, latency).
-        safety: make the transforms that limit what reaches the environment.
-        residual_scale: authority of the residual, in half ranges of the action, per dimension or for all.
-        batching: ``native`` for an environment with a batch size of its own, ``serial`` to run copies in turn,
-            ``parallel`` to run each copy in its own process.
-        max_episode_steps: bound on an episode's length, for evaluation.
-        action_history: how many actions ``previous_action`` holds, if the policy reads it.
-        symmetries: mirrors of the task by name, each with a map (:class:`rrl.symmetry.Symmetry`) of ``action`` and of
-            every input but ``base_action`` and ``previous_action``, which are actions. A mirror goes through the
-            inputs' ``loc``.
-
+        base: Makes the bare environment; called as ``base(num_envs=...)`` when ``batching`` is
+            ``native``, else without arguments.
+        controller: Makes a controller.
+        inputs: The observation entries that the policy reads, in this order, and how each is
+            normalized; a plain list of names leaves them as they are. Beside the environment's own
+            there are ``base_action`` and ``previous_action``, what the policy said in the last
+            ``action_history`` steps.
+        disturbances: Make the transforms of the executed action (control noise).
+        sensing: Make the transforms of the observation entries (camera noise, latency).
+        safety: Make the transforms that limit what reaches the environment.
+        residual_scale: Authority of the residual, in half ranges of the action, one number or one
+            for each dimension.
+        batching: ``native`` for an environment with a batch size of its own, ``serial`` to run
+            copies in turn, ``parallel`` to run each copy in its own process.
+        max_episode_steps: Bound on an episode's length, for evaluation.
+        action_history: How many actions ``previous_action`` holds, if the policy reads it.
+        symmetries: Mirrors of the task by name, each with a map (:class:`rrl.symmetry.Symmetry`) of
+            ``action`` and of every input but ``base_action`` and ``previous_action``, which are
+            actions. A mirror goes through the inputs' ``loc``.
     """
 
     base: Callable[..., EnvBase]
@@ -97,17 +97,16 @@ class EnvironmentFactory:
     symmetries: Mapping[str, Mapping[str, Sequence[int]]] = field(default_factory=dict)
 
     def with_overrides(self, **overrides: Any) -> EnvironmentFactory:
-        """The same chain on a base environment with other arguments (another scenario)."""
+        """Return the same chain on a base environment with other arguments (another scenario)."""
         return replace(self, base=partial(self.base, **overrides))
 
-    def make(self, num_envs: int = 1) -> TransformedEnv:
+    def make(self, num_envs: int = 1) -> ResumableEnv:
         """Build the environment with ``num_envs`` slots.
 
         Raises:
-            KeyError: if an input or the controller names an entry that the environment does not have.
-
+            KeyError: If an input or the controller names an entry that the environment lacks.
         """
-        env = TransformedEnv(self._make_base(num_envs), Compose())
+        env = ResumableEnv(self._make_base(num_envs), Compose())
         if any(spec.dtype == torch.float64 for spec in env.specs.values(True, True)):
             env.append_transform(DoubleToFloat())
         for make in (*self.safety, *self.disturbances, *self.sensing):
@@ -115,30 +114,33 @@ class EnvironmentFactory:
         env.append_transform(ResidualAction(self.controller(), scale=self.residual_scale))
         if PREVIOUS_ACTION in self.inputs:
             env.append_transform(ActionHistory(self.action_history))
-        self._append_inputs(env)
+        self.read_inputs(env)
         return env
 
-    def reader(self) -> TensorDictModule:
-        """The module from the input entries to ``observation``, as the policy sees it.
-
-        In front of a policy that was trained here it makes one that reads what the bare environment writes, for
-        instance to be the controller under a further residual.
-        """
-        entries = self._inputs()
-
-        def concatenate(*values: torch.Tensor) -> torch.Tensor:
-            return torch.cat(
-                [entry(value) for entry, value in zip(entries.values(), values, strict=True)], -1
-            )
-
-        return TensorDictModule(concatenate, in_keys=list(entries), out_keys=[OBSERVATION])
-
-    def symmetry(self) -> Symmetry | None:
-        """The symmetry of what the policy reads and says; None if there are no mirrors.
+    def read_inputs(self, env: EnvBase) -> dict[str, Input]:
+        """Return the policy's inputs with the shapes that they have in ``env``.
 
         Raises:
-            ValueError: if a mirror lacks an input's map, or has one that is no map or does not fit ``scale``.
+            KeyError: If ``env`` lacks one of them.
+        """
+        spec = env.observation_spec
+        keys = list(spec.keys(True, True))
+        if missing := [name for name in self._inputs() if name not in keys]:
+            raise KeyError(
+                f"inputs: expected entries of the environment, which are {sorted(map(str, keys))}, "
+                f"got {missing[0]!r}"
+            )
+        return {
+            name: replace(entry, shape=tuple(spec[name].shape[env.ndim :]))
+            for name, entry in self._inputs().items()
+        }
 
+    def symmetry(self) -> Symmetry | None:
+        """Return the symmetry of features and action; None if there are no mirrors.
+
+        Raises:
+            ValueError: If a mirror lacks an input's map, or has one that is no map or does not fit
+                ``scale``.
         """
         if not self.symmetries:
             return None
@@ -159,10 +161,11 @@ class EnvironmentFactory:
     def _map(self, key: str, entry: Input, maps: Mapping[str, Sequence[int]]) -> Sequence[int]:
         if key in (BASE_ACTION, PREVIOUS_ACTION):
             return _joined([maps[ACTION]] * (self.action_history if key == PREVIOUS_ACTION else 1))
-        scale = entry.column(key, entry.scale, len(maps[key]))
+        scale = replace(entry, shape=(len(maps[key]),)).column("scale")
         if any(scale[abs(i) - 1] != scale[n] for n, i in enumerate(maps[key])):
             raise ValueError(
-                f"{key}: expected equal scales of numbers that the mirror exchanges, got {entry.scale}"
+                f"{key}: expected equal scales of numbers that the mirror exchanges, "
+                f"got {entry.scale}"
             )
         return maps[key]
 
@@ -176,36 +179,9 @@ class EnvironmentFactory:
             return self.base(num_envs=num_envs)
         return self.base() if num_envs == 1 else _BATCHED[self.batching](num_envs, self.base)
 
-    def _append_inputs(self, env: TransformedEnv) -> None:
-        spec = env.observation_spec
-        available = sorted(map(str, spec.keys(True, True)))
-        loc, scale = [], []
-        inputs = self._inputs()
-        for name, entry in inputs.items():
-            if name not in spec.keys(True, True):
-                raise KeyError(
-                    f"environment.inputs names {name!r}, which the environment does not have; it has {available}"
-                )
-            extra = (
-                spec[name].ndim - env.ndim - 1
-            )  # an image or a list of frames enters as one vector
-            if extra > 0:
-                env.append_transform(FlattenObservation(-1 - extra, -1, in_keys=[name]))
-            size = spec[name].shape[env.ndim :].numel()
-            loc.append(entry.column(name, entry.loc, size))
-            scale.append(entry.column(name, entry.scale, size))
-        keys: list[NestedKey] = list(inputs)
-        env.append_transform(
-            CatTensors(in_keys=keys, out_key=OBSERVATION, del_keys=False, sort=False)
-        )
-        scales = torch.cat(scale)
-        env.append_transform(
-            ObservationNorm(loc=-torch.cat(loc) * scales, scale=scales, in_keys=[OBSERVATION])
-        )
-
 
 def _joined(maps: Sequence[Sequence[int]]) -> list[int]:
-    """One map of vectors that stand one after the other."""
+    """Return one map of vectors that stand one after the other."""
     joined: list[int] = []
     for numbers in maps:
         offset = len(joined)

@@ -1,8 +1,24 @@
-"""Reinforcement learning algorithms on stacked seeds."""
+"""Learners from TorchRL's losses, and what they are configured with."""
 
-from rrl.algorithms.base import Agent
+from rrl.algorithms.base import Agent, AgentSettings, no_exploration
 from rrl.algorithms.ddpg import DDPG
+from rrl.algorithms.ensemble import EnsembleSACLoss, EnsembleTD3Loss
+from rrl.algorithms.networks import Concatenate, mlp
+from rrl.algorithms.optimizers import Adam, TorchOptimizer
 from rrl.algorithms.sac import SAC
 from rrl.algorithms.td3 import TD3
 
-__all__ = ["DDPG", "SAC", "TD3", "Agent"]
+__all__ = [
+    "DDPG",
+    "SAC",
+    "TD3",
+    "Adam",
+    "Agent",
+    "AgentSettings",
+    "Concatenate",
+    "EnsembleSACLoss",
+    "EnsembleTD3Loss",
+    "TorchOptimizer",
+    "mlp",
+    "no_exploration",
+]

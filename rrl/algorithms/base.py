@@ -1,321 +1,284 @@
-"""What the algorithms on stacked seeds share: networks, optimisers, the order of the updates, the extra state."""
+"""What all algorithms share: settings, networks, optimizers, the order of the updates."""
 
 from __future__ import annotations
 
-import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
-from typing import Any, ClassVar
+from collections.abc import Iterator, Mapping
+from typing import Any, ClassVar, Literal
 
 import torch
-from tensordict import TensorDictBase
+from pydantic import BaseModel, ConfigDict, Field
+from tensordict import NestedKey, TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
+from torchrl.data import TensorSpec
 from torchrl.objectives import LossModule, SoftUpdate
 from torchrl.objectives.utils import ValueEstimators
 
-from rrl.algorithms.adam import Adam
-from rrl.algorithms.networks import StackedMLP
-from rrl.algorithms.steps import GradientSteps, Step
+from rrl.algorithms.networks import (
+    Concatenate,
+    EncodedNetwork,
+    EncoderFactory,
+    NetworkFactory,
+    last_layer,
+    mlp,
+)
+from rrl.algorithms.optimizers import Adam, OptimizerFactory
 from rrl.algorithms.symmetric_actor import SymmetricActor
-from rrl.checks import check
-from rrl.keys import ACTION
-from rrl.slot_random import SlotGenerators
+from rrl.algorithms.updates import Step, Updates
+from rrl.inputs import Input
+from rrl.keys import ACTION, OBSERVATION
 from rrl.symmetry import Symmetry
 
-__all__ = ["Agent"]
+__all__ = ["Agent", "AgentSettings", "no_exploration"]
 
 UPDATES_PER_GRAPH = 4
-"""At most: every further one saves less time in a call and takes as long to compile as the first."""
+"""At most: every further one saves less time in a call and takes as long to compile."""
 
-LOSS_FUNCTIONS = ("l1", "l2", "smooth_l1")
+
+class AgentSettings(BaseModel):
+    """Hyperparameters that all algorithms have.
+
+    Attributes:
+        encoder: Makes the module from the policy's inputs to features; one without parameters is
+            run once a batch, one with parameters is part of every network that reads it.
+        network: Makes the networks of actor and critics.
+        optimizer: Makes the optimizers.
+        last_layer_bound: The actor's output layer is drawn from ``U(-bound, bound)``; 0 makes an
+            untrained residual exactly zero.
+        actor_lr: Learning rate of the actor.
+        critic_lr: Learning rate of the critics.
+        gamma: Discount.
+        tau: Share by which the targets follow in an update.
+        policy_delay: Critic updates per update of policy and targets.
+        critic_burn_in: Updates at the start in which the critics learn and the policy waits.
+        loss_function: The critics' loss.
+        reward_scale: Factor on the stored reward before the critics see it.
+        compiled: Compile the whole update into one graph.
+    """
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True
+    )
+
+    encoder: EncoderFactory = Concatenate
+    network: NetworkFactory = mlp
+    optimizer: OptimizerFactory = Adam
+    last_layer_bound: float = Field(0.0, ge=0)
+    actor_lr: float = Field(1e-3, gt=0)
+    critic_lr: float = Field(1e-3, gt=0)
+    gamma: float = Field(0.99, ge=0, lt=1)
+    tau: float = Field(0.005, gt=0, le=1)
+    policy_delay: int = Field(1, ge=1)
+    critic_burn_in: int = Field(0, ge=0)
+    loss_function: Literal["l2", "l1", "smooth_l1"] = "l2"
+    reward_scale: float = 1.0
+    compiled: bool = False
 
 
 class Agent(nn.Module, ABC):
-    """``S`` independent learners: an actor, critics, a TorchRL loss with ``reduction="none"``, target networks.
+    """A learner: actor, critics, a TorchRL loss, target networks, optimizers.
 
-    A subclass names the :attr:`stream` of its random numbers, makes its networks with :meth:`make_actor` and
-    :meth:`make_critics`, hands its loss to :meth:`learn_from`, and implements :meth:`value_loss` and
-    :meth:`actor_loss`. Losses come as ``[S, B]``; their mean over ``B`` is summed over the seeds, which leaves the
-    seeds' gradients apart. Random numbers of the losses are drawn outside (:meth:`prepare`), from one generator a
-    seed, and enter as data.
+    A subclass makes its networks with :meth:`make_actor` and :meth:`make_critics`, hands its loss
+    to :meth:`learn_from`, and implements :meth:`value_loss` and :meth:`actor_loss`. Random numbers,
+    of initial weights, losses and acting, come from torch's global generator.
 
     Args:
-        input_sizes: size of each observation entry that actor and critics read, by key.
-        action_size: size of the action; the policy's action lies in [-1, 1].
-        num_seeds: how many independent learners are stacked.
-        seed: learner ``k`` is the learner that ``seed + k`` alone would give.
-        hidden: widths of the hidden layers, of actor and critics.
-        layer_norm: normalise the hidden layers of actor and critics.
-        last_layer_bound: the actor's output layer is drawn from ``U(-bound, bound)``; 0 makes an untrained residual
-            exactly zero.
-        actor_lr, critic_lr: learning rates of Adam.
-        gamma: discount.
-        tau: share by which the targets follow.
-        policy_delay: critic updates per update of policy and targets.
-        critic_burn_in: updates at the start in which the critics learn and the policy waits.
-        loss_function: the critics' loss, ``"l2"``, ``"l1"`` or ``"smooth_l1"``.
-        reward_scale: factor on the stored reward before the critics see it.
-        compiled: compile the whole update into one graph.
-        symmetry: of the task; the learners then learn from randomly chosen mirror images of their transitions, and act
-            as the mean over all images (:class:`rrl.symmetry.SymmetricActor`).
+        inputs: Observation entries that actor and critics read, or their sizes.
+        action_size: Size ``m`` of the action; the policy's action lies in [-1, 1].
+        symmetry: Of features and action; the learner then learns from randomly chosen mirror images
+            of its transitions, and acts as the mean over all images.
+        settings: See the class's ``Settings``.
 
     Raises:
-        ValueError: a hyperparameter out of its range.
-
+        ValueError: If a hyperparameter is unknown or out of its range, or ``symmetry`` does not fit.
     """
 
-    stream: str
+    Settings: ClassVar[type[AgentSettings]] = AgentSettings
     loss: LossModule
-    __signature__: ClassVar[inspect.Signature]
-    _actor: StackedMLP
-    _actor_arguments: dict[str, Any]
+    policy: TensorDictModuleBase
+    """From the inputs ``[*batch, *shape]`` to ``action`` [*batch, m] in [-1, 1]."""
 
     def __init__(
         self,
-        input_sizes: dict[str, int],
+        inputs: Mapping[NestedKey, Input | int],
         action_size: int,
         *,
-        num_seeds: int = 1,
-        seed: int = 0,
-        hidden: Sequence[int] = (256, 256),
-        layer_norm: bool = False,
-        last_layer_bound: float = 0.0,
-        actor_lr: float = 1e-3,
-        critic_lr: float = 1e-3,
-        gamma: float = 0.99,
-        tau: float = 0.005,
-        policy_delay: int = 1,
-        critic_burn_in: int = 0,
-        loss_function: str = "l2",
-        reward_scale: float = 1.0,
-        compiled: bool = False,
         symmetry: Symmetry | None = None,
+        **settings: Any,
     ) -> None:
         super().__init__()
-        check("gamma", gamma, "a discount in [0, 1)", 0 <= gamma < 1)
-        check("tau", tau, "a share in (0, 1]", 0 < tau <= 1)
-        check("policy_delay", policy_delay, "at least 1 update", policy_delay >= 1)
-        check("critic_burn_in", critic_burn_in, "0 updates or more", critic_burn_in >= 0)
-        check(
-            "loss_function",
-            loss_function,
-            " or ".join(LOSS_FUNCTIONS),
-            loss_function in LOSS_FUNCTIONS,
-        )
-        self.input_keys = list(input_sizes)
-        self.action_size, self.num_seeds, self.seed = action_size, num_seeds, seed
-        self.hidden, self.layer_norm, self.last_layer_bound = hidden, layer_norm, last_layer_bound
-        self.actor_lr, self.critic_lr = actor_lr, critic_lr
-        self.gamma, self.tau, self.loss_function, self.reward_scale = (
-            gamma,
-            tau,
-            loss_function,
-            reward_scale,
-        )
-        self.policy_delay, self.critic_burn_in = policy_delay, critic_burn_in
-        self.compiled = compiled
-        self.num_updates = 0
-        self._in_size = sum(input_sizes.values())
-        self._generators = [torch.Generator().manual_seed(seed + k) for k in range(num_seeds)]
-        self._noise = SlotGenerators(seed, num_seeds, stream=self.stream)
-        self._images = SlotGenerators(seed, num_seeds, stream="images")
-        self.symmetry = symmetry
-        if symmetry is not None:
-            sizes, expected = (
-                (symmetry.observation_size, symmetry.action_size),
-                (self._in_size, action_size),
-            )
-            maps = f"maps of {expected[0]} numbers of observation and {expected[1]} of action"
-            check("symmetry", sizes, maps, sizes == expected)
-            check("symmetry", self.input_keys, "one observation entry", len(self.input_keys) == 1)
-
-    def __init_subclass__(cls, **arguments: Any) -> None:
-        """Show in the signature what ``**hyperparameters`` passes on; checks of a configuration read it."""
-        super().__init_subclass__(**arguments)
-        kinds = [kind for kind in reversed(cls.__mro__) if issubclass(kind, Agent)]
-        parameters = {
-            name: p
-            for kind in kinds
-            for name, p in inspect.signature(kind.__init__).parameters.items()
+        self.settings = self.Settings(**settings)
+        self.inputs = {
+            key: Input(shape=(entry,)) if isinstance(entry, int) else entry
+            for key, entry in inputs.items()
         }
-        shown = [p for p in parameters.values() if p.kind is not p.VAR_KEYWORD]
-        cls.__signature__ = inspect.Signature(shown[1:])  # without self
+        self.action_size, self.symmetry = action_size, symmetry
+        self.encoder = self.settings.encoder(self.inputs)
+        self.learns_encoder = any(True for _ in self.encoder.parameters())
+        self.read_keys = list(self.inputs) if self.learns_encoder else [OBSERVATION]
+        self.num_updates = 0
+        if symmetry is not None:
+            if self.learns_encoder:
+                raise ValueError("symmetry: expected an encoder without parameters")
+            sizes = symmetry.observation_size, symmetry.action_size
+            if sizes != (self.encoder.out_features, action_size):
+                raise ValueError(
+                    f"symmetry: expected maps of {self.encoder.out_features} features and "
+                    f"{action_size} numbers of action, got {sizes[0]} and {sizes[1]}"
+                )
 
     # ---------------------------------------------------------------- construction
 
-    def make_actor(self, out_features: int, squash: bool) -> StackedMLP:
-        """Make the actor network; weights are drawn from the seeds' generators, actor before critics."""
-        self._actor_arguments = {
-            "in_features": self._in_size,
-            "out_features": out_features,
-            "hidden": list(self.hidden),
-            "last_layer_bound": self.last_layer_bound,
-            "layer_norm": self.layer_norm,
-            "squash": squash,
-        }
-        self._actor = StackedMLP(
-            self.num_seeds, generators=self._generators, **self._actor_arguments
+    def make_actor(self, out_features: int) -> nn.Module:
+        """Make the actor network, from what :attr:`read_keys` name to ``[*batch, out_features]``."""
+        network = self.settings.network(
+            in_features=self.encoder.out_features, out_features=out_features
         )
-        return self._actor
+        bound, layer = self.settings.last_layer_bound, last_layer(network)
+        for parameter in (layer.weight, layer.bias):
+            nn.init.uniform_(parameter, -bound, bound)
+        return self._behind_encoder(network).float()
 
     def make_critics(self, count: int) -> list[TensorDictModule]:
-        """Make critics from the input keys and the action to ``state_action_value`` [S, B, 1]."""
+        """Make critics from what is read and the action to ``state_action_value`` [*batch, 1]."""
+        size = self.encoder.out_features + self.action_size
         networks = [
-            StackedMLP(
-                self.num_seeds,
-                self._in_size + self.action_size,
-                1,
-                list(self.hidden),
-                layer_norm=self.layer_norm,
-                generators=self._generators,
-            )
+            self._behind_encoder(self.settings.network(in_features=size, out_features=1)).float()
             for _ in range(count)
         ]
-        keys = [*self.input_keys, ACTION]
+        keys = [*self.read_keys, ACTION]
         return [
             TensorDictModule(n, in_keys=keys, out_keys=["state_action_value"]) for n in networks
         ]
 
+    def _behind_encoder(self, network: nn.Module) -> nn.Module:
+        if not self.learns_encoder:
+            return network
+        return EncodedNetwork(self.settings.encoder(self.inputs), network, len(self.inputs))
+
+    def acting_network(self, actor: nn.Module) -> nn.Module:
+        """Return the network from the inputs to the actor's output, symmetric if the task is."""
+        if self.learns_encoder:
+            return actor
+        network = actor if self.symmetry is None else SymmetricActor(actor, self.symmetry)
+        return EncodedNetwork(self.encoder, network, len(self.inputs))
+
     def learn_from(
         self, loss: LossModule, critic_params: TensorDictBase, actor_params: TensorDictBase
     ) -> None:
-        """Take over the loss, and make optimisers and targets for it."""
+        """Take over the loss, and make optimizers and targets for it."""
         self.loss = loss
-        self.loss.make_value_estimator(ValueEstimators.TD0, gamma=self.gamma)
-        self.soft_update = SoftUpdate(self.loss, tau=self.tau)
+        self.loss.make_value_estimator(ValueEstimators.TD0, gamma=self.settings.gamma)
+        self.soft_update = SoftUpdate(self.loss, tau=self.settings.tau)
         self._critic_params = list(critic_params.values(True, True))
         self._actor_params = list(actor_params.values(True, True))
-        self.critic_optimizer = Adam(self._critic_params, self.critic_lr)
-        self.actor_optimizer = Adam(self._actor_params, self.actor_lr)
-        self._take = GradientSteps(self, self.compiled)
+        make = self.settings.optimizer
+        self.critic_optimizer = make(self._critic_params, lr=self.settings.critic_lr)
+        self.actor_optimizer = make(self._actor_params, lr=self.settings.actor_lr)
+        self._updates = Updates(self, self.settings.compiled)
 
-    def start_from(self, other: Agent, k: int) -> None:
-        """Take the networks of learner ``k`` of ``other`` as every learner's initial weights; optimisers stay fresh.
+    def start_from(self, other: Agent) -> None:
+        """Take over what the loss of ``other`` holds as initial values; optimizers stay fresh.
 
         Raises:
-            ValueError: if ``other`` is of another algorithm or has networks of other sizes.
-
+            ValueError: If ``other`` is of another algorithm or has networks of other sizes.
         """
         given, own = other.loss.state_dict(), self.loss.state_dict()
-        weights = [
-            name for name, value in own.items() if value.ndim >= 3
-        ]  # [..., S, rows, columns]
-        for name in weights:
-            if name not in given or given[name].shape[-2:] != own[name].shape[-2:]:
+        for name in sorted(given.keys() | own.keys()):
+            shapes = [tuple(d[name].shape) if name in d else None for d in (own, given)]
+            if shapes[0] != shapes[1]:
                 raise ValueError(
-                    f"initial weights: expected a {type(self).__name__} with {name} of {tuple(own[name].shape[-2:])}, "
-                    f"got a {type(other).__name__} with {tuple(given[name].shape[-2:]) if name in given else 'none'}"
+                    f"initial weights: expected a {type(self).__name__} with {name} of {shapes[0]}, "
+                    f"got a {type(other).__name__} with {shapes[1]}"
                 )
         with torch.no_grad():
-            for name in weights:
-                own[name].copy_(given[name].narrow(-3, k, 1))
-
-    # ---------------------------------------------------------------- acting
-
-    @property
-    def policy(self) -> TensorDictModuleBase:
-        """The policies of all seeds: input keys ``[S * E, ...]``, seed-major, to ``action`` in [-1, 1]."""
-        return self.wrap(self._symmetric(self._actor), self.seed)
-
-    def policy_of(self, k: int) -> TensorDictModuleBase:
-        """A copy of seed ``k``'s policy that accepts any batch size."""
-        actor = StackedMLP(1, generators=[torch.Generator()], **self._actor_arguments)
-        actor.load_state_dict({n: p[k : k + 1] for n, p in self._actor.state_dict().items()})
-        return self.wrap(self._symmetric(actor), self.seed + k)
-
-    def _symmetric(self, actor: StackedMLP) -> StackedMLP | SymmetricActor:
-        return actor if self.symmetry is None else SymmetricActor(actor, self.symmetry)
-
-    def wrap(self, actor: StackedMLP | SymmetricActor, seed: int) -> TensorDictModuleBase:
-        """Make a policy of an actor network; ``seed`` is the first seed of its stack."""
-        return TensorDictModule(actor, in_keys=self.input_keys, out_keys=[ACTION])
+            for name, value in own.items():
+                value.copy_(given[name])
 
     # ---------------------------------------------------------------- learning
 
     @property
     def compile_seconds(self) -> float:
         """Seconds that compiling updates has taken so far."""
-        return self._take.compile_seconds
+        return self._updates.compile_seconds
 
     def update(self, batches: TensorDictBase) -> dict[str, Tensor]:
         """Take one gradient step per batch.
 
         Args:
-            batches: ``[k, S, B]``, with the input keys, ``action``, and in ``next`` the input keys, ``reward``,
-                ``done`` and ``terminated``; changed in place.
+            batches: Transitions ``[k, B]`` with the inputs, ``action``, and in ``next`` the inputs,
+                ``reward``, ``done`` and ``terminated``.
 
         Returns:
-            Means over the ``k`` updates, ``[S]`` each: ``loss_critic``, ``loss_actor`` (absent while no policy update
-            was due) and what the algorithm adds.
-
+            Means over the ``k`` updates: ``loss_critic``, ``loss_actor`` (absent while no policy
+            update was due) and what the algorithm adds.
         """
-        following = batches["next"]
-        following["reward"] = following["reward"] * self.reward_scale
+        batches = self._encoded(batches)
         if self.symmetry is not None:
             self._reflect(batches, self.symmetry)
-        self.prepare(batches)
         entries = sorted(batches.items(True, True), key=lambda item: str(item[0]))
-        keys, columns = (
-            tuple(key for key, _ in entries),
-            [value.contiguous() for _, value in entries],
-        )
+        keys, columns = tuple(k for k, _ in entries), [v.contiguous() for _, v in entries]
         history: dict[str, list[Tensor]] = {}
         for first, steps in self._plan(len(batches)):
             part = [column[first : first + len(steps)] for column in columns]
-            for name, values in self._take(steps, keys, part).items():
+            for name, values in self._updates(steps, keys, part).items():
                 history.setdefault(name, []).append(values)
-        return {name: torch.cat(values).mean(0) for name, values in history.items()}
+        return {name: torch.cat(values).mean() for name, values in history.items()}
+
+    def _encoded(self, batches: TensorDictBase) -> TensorDict:
+        """Return what the losses read, with a fixed encoder's features in the inputs' place."""
+
+        def read(part: TensorDictBase) -> dict[NestedKey, Tensor]:
+            values = {key: part.get(key) for key in self.inputs}
+            if self.learns_encoder:
+                return dict(values)
+            with torch.no_grad():
+                return {OBSERVATION: self.encoder(*values.values())}
+
+        following = batches.get("next")
+        out = batches.exclude("next", *self.inputs)
+        out_next = following.exclude(*self.inputs)
+        out_next.set("reward", following["reward"] * self.settings.reward_scale)
+        for target, part in ((out, batches), (out_next, following)):
+            for key, value in read(part).items():
+                target.set(key, value)
+        return out.set("next", out_next)
 
     def _plan(self, k: int) -> Iterator[tuple[int, tuple[Step, ...]]]:
-        """The next ``k`` updates in parts, up to a policy update each, with the number of a part's first update."""
+        """Yield the next ``k`` updates in parts, up to a policy update each, with their place."""
         first = 0
         while first < k:
-            to_policy = self.policy_delay - self.num_updates % self.policy_delay
+            to_policy = self.settings.policy_delay - self.num_updates % self.settings.policy_delay
             size = min(to_policy, k - first, UPDATES_PER_GRAPH)
             yield first, tuple(self._next_step() for _ in range(size))
             first += size
 
     def _next_step(self) -> Step:
         self.num_updates += 1
-        if self.num_updates % self.policy_delay:
+        if self.num_updates % self.settings.policy_delay:
             return self._critic_step
-        return (
-            self._critic_and_target_step
-            if self.num_updates <= self.critic_burn_in
-            else self._critic_and_policy_step
-        )
+        burns_in = self.num_updates <= self.settings.critic_burn_in
+        return self._critic_and_target_step if burns_in else self._critic_and_policy_step
 
     def _reflect(self, batches: TensorDictBase, symmetry: Symmetry) -> None:
-        """Put a mirror image, drawn by the transition's seed, in the place of each transition."""
-        k, _, batch = batches.shape
-        which = self._images.integers(symmetry.num_images, (k, batch)).transpose(
-            0, 1
-        )  # drawn as (S, k, B)
-        for key in (self.input_keys[0], ("next", self.input_keys[0])):
+        """Put a randomly drawn mirror image in the place of each transition."""
+        which = torch.randint(symmetry.num_images, batches.shape)
+        for key in (OBSERVATION, ("next", OBSERVATION)):
             batches[key] = symmetry.reflect(batches[key], which)
         batches[ACTION] = symmetry.reflect_action(batches[ACTION], which)
 
-    def prepare(self, batches: TensorDictBase) -> None:
-        """Add random numbers that the losses need to ``batches`` [k, S, B]."""
-
-    def draw(self, shape: torch.Size) -> Tensor:
-        """Draw standard normal numbers ``[k, S, B, n_act]`` from the seeds' own generators."""
-        k, _, batch, size = shape
-        return self._noise.normal((k, batch, size)).transpose(0, 1)  # drawn as (S, k, B, n_act)
-
     @abstractmethod
     def value_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the critics' loss ``[S, B]`` and metrics ``[S]``."""
+        """Return the critics' loss and metrics, scalars, of a batch ``[B]``."""
 
     @abstractmethod
     def actor_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the policy's loss ``[S, B]`` and metrics ``[S]``."""
+        """Return the policy's loss and metrics, scalars, of a batch ``[B]``."""
 
     def _critic_step(self, batch: TensorDictBase) -> dict[str, Tensor]:
         loss, info = self.value_loss(batch)
-        loss = loss.mean(-1)
-        self.critic_optimizer.step(torch.autograd.grad(loss.sum(), self._critic_params))
+        self.critic_optimizer.step(torch.autograd.grad(loss, self._critic_params))
         return {"loss_critic": loss.detach(), **info}
 
     def _critic_and_target_step(self, batch: TensorDictBase) -> dict[str, Tensor]:
@@ -326,21 +289,20 @@ class Agent(nn.Module, ABC):
     def _critic_and_policy_step(self, batch: TensorDictBase) -> dict[str, Tensor]:
         metrics = self._critic_step(batch)
         loss, info = self.actor_loss(batch)
-        loss = loss.mean(-1)
-        self.actor_optimizer.step(torch.autograd.grad(loss.sum(), self._actor_params))
+        self.actor_optimizer.step(torch.autograd.grad(loss, self._actor_params))
         self.soft_update.step()
         return metrics | {"loss_actor": loss.detach(), **info}
 
     # ---------------------------------------------------------------- state
 
     def get_extra_state(self) -> dict[str, Any]:
-        """What a checkpoint needs beyond tensors: the update counter and the generators of noise and images."""
-        images = {} if self.symmetry is None else {"images": self._images.state_dict()}
-        return {"num_updates": self.num_updates, "noise": self._noise.state_dict(), **images}
+        """Return what a checkpoint needs beyond tensors."""
+        return {"num_updates": self.num_updates}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore :meth:`get_extra_state`."""
         self.num_updates = state["num_updates"]
-        self._noise.load_state_dict(state["noise"])
-        if self.symmetry is not None:
-            self._images.load_state_dict(state["images"])
+
+
+def no_exploration(spec: TensorSpec) -> None:
+    """Make no exploration module: for policies that are stochastic themselves, such as SAC's."""

@@ -1,4 +1,4 @@
-"""Compiling an update: losses, gradients, optimisers and targets in one graph."""
+"""Compiling an update: losses, gradients, optimizers and targets in one graph."""
 
 from __future__ import annotations
 
@@ -9,54 +9,49 @@ import os
 import time
 import warnings
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
-import torch._inductor
 from torch import Tensor, nn
-from torch.fx import GraphModule, Node
+from torch.fx import Graph, GraphModule, Node
 from torch.fx.experimental.proxy_tensor import get_proxy_mode, make_fx
 
-__all__ = ["CompiledUpdate", "being_traced", "can_compile", "compiler_problem", "import_compiler"]
+__all__ = ["CompiledUpdate", "being_traced", "compiler_problem", "import_compiler"]
 
 log = logging.getLogger(__name__)
 
 Update = Callable[..., dict[str, Tensor]]
-"""Of tensors, to metrics; changes tensors that it holds on to (parameters, moments, targets) in place."""
+"""From tensors to metrics; changes tensors that it holds on to (parameters, moments) in place."""
+
+ATEN = torch.ops.aten
+DRAWS = (
+    ATEN.rand.default,
+    ATEN.rand_like.default,
+    ATEN.randn.default,
+    ATEN.randn_like.default,
+    ATEN.normal_.default,
+    ATEN.normal_functional.default,
+    ATEN.uniform_.default,
+)
+"""Random operations that read nothing but shape and type."""
 
 
 def compiler_problem() -> str | None:
-    """Why nothing can be compiled on this machine; None if it can."""
-    from torch._inductor.cpp_builder import get_cpp_compiler
-
+    """Return why nothing can be compiled on this machine; None if it can."""
+    _choose_cache()
     try:
-        get_cpp_compiler()
+        importlib.import_module("torch._inductor.cpp_builder").get_cpp_compiler()
     except Exception as error:  # of an internal kind that moves between versions
         return f"{type(error).__name__}: {error}".strip().partition("\n")[0]
     return None
 
 
-def can_compile() -> bool:
-    """Whether there is a C++ compiler; warns if there is none."""
-    problem = compiler_problem()
-    if problem is not None:
-        warnings.warn(
-            f"the update is not compiled and takes two to three times as long: no C++ compiler ({problem}); install "
-            "g++, or set compiled=false to do without",
-            stacklevel=2,
-        )
-    return problem is None
-
-
 def import_compiler() -> None:
-    """Import the compiler and have it look at the processor, two seconds or so, while something else is awaited."""
-    _choose_cache()
-    with (
-        warnings.catch_warnings(),
-        contextlib.suppress(ImportError, AttributeError),
-    ):  # private, of a version
-        warnings.simplefilter("ignore", DeprecationWarning)  # of PyTorch's modules, at one another
+    """Import the compiler, which takes two seconds, while something else is awaited anyway."""
+    with warnings.catch_warnings(), contextlib.suppress(ImportError, AttributeError):
+        warnings.simplefilter("ignore", DeprecationWarning)  # PyTorch's modules warn of one another
         if compiler_problem() is None:
             for module in ("torch._inductor.compile_fx", "torch._dynamo.repro.after_dynamo"):
                 importlib.import_module(module)
@@ -64,74 +59,110 @@ def import_compiler() -> None:
 
 
 def being_traced() -> bool:
-    """Whether the running code is recorded for a :class:`CompiledUpdate`."""
+    """Return whether the running code is recorded for a :class:`CompiledUpdate`."""
     return get_proxy_mode() is not None
 
 
 class CompiledUpdate:
-    """An update as one compiled graph, made at the first call.
+    """An update as one compiled graph, made at the first call; eager where that fails.
 
-    The update is run once on tensors without data, which records what its losses, gradients and optimisers do as a list
-    of operations (:func:`torch.fx.experimental.proxy_tensor.make_fx`). Python that an update runs each time, a
-    TensorDict's and TorchRL's, leaves no trace in it, which is why this is faster than to have :func:`torch.compile`
-    follow the same code; :func:`torch._inductor.compile`, its back half, takes the recorded graph. Tensors that the
-    update holds on to become arguments of the graph; it changes them in place.
+    The update is run once on tensors without data, which records what its losses, gradients and
+    optimizers do as a list of operations (:func:`torch.fx.experimental.proxy_tensor.make_fx`).
+    Python that an update runs each time, a TensorDict's and TorchRL's, leaves no trace in it, which
+    is why this is faster than to have :func:`torch.compile` follow the same code;
+    ``torch._inductor.compile``, its back half, takes the recorded graph. Tensors that the update
+    holds on to become arguments of the graph, which changes them in place. So do its random
+    numbers: they are drawn before each call, in the order in which the eager update draws them.
 
     Args:
-        update: takes tensors whose shapes never change, does the same operations every time, and holds on to the same
-            tensors for good.
-        module: owns the tensors that the update changes; they must be in its ``state_dict``.
+        update: Takes tensors whose shapes never change, does the same operations every time, and
+            holds on to the same tensors for good.
+        module: Owns the tensors that the update changes; they must be in its ``state_dict``.
     """
 
     def __init__(self, update: Update, module: nn.Module) -> None:
         self._update, self._module = update, module
         self._names: list[str] = []
         self._state: list[Tensor] = []
+        self._draws: list[Callable[[], Tensor]] = []
         self._run: Callable[..., Sequence[Tensor]] | None = None
         self.compile_seconds = 0.0
+        self.failed = False
 
     def __call__(self, *tensors: Tensor) -> dict[str, Tensor]:
         """Do what the update does."""
+        if self._run is None and not self.failed:
+            self._try_to_compile(tensors)
         if self._run is None:
-            self._run = self._compile(tensors)
-        return dict(zip(self._names, self._run(*tensors, *self._state), strict=True))
+            return self._update(*tensors)
+        with torch.no_grad():
+            values = self._run(*self._arguments(tensors))
+        return dict(zip(self._names, values, strict=True))
 
-    def _compile(self, tensors: tuple[Tensor, ...]) -> Callable[..., Sequence[Tensor]]:
-        log.info(
-            "compiling the update: half a minute with settings new to this machine, else seconds"
-        )
+    def _arguments(self, tensors: tuple[Tensor, ...]) -> list[Tensor]:
+        return [*tensors, *self._state, *(draw() for draw in self._draws)]
+
+    def _try_to_compile(self, tensors: tuple[Tensor, ...]) -> None:
+        log.info("compiling the update: up to half a minute the first time, else seconds")
         start = time.perf_counter()
-        with warnings.catch_warnings():  # of the libraries' code, which is not ours to mend
-            warnings.simplefilter("ignore")
-            graph = self._trace(tensors)
-            run = _compile(graph, [*tensors, *self._state])
+        cache = _choose_cache()
+        owned = [v for v in self._module.state_dict().values() if isinstance(v, Tensor)]
+        before, generator = [value.clone() for value in owned], torch.get_rng_state()
+
+        def put_back() -> None:
+            for value, old in zip(owned, before, strict=True):
+                value.copy_(old)
+            torch.set_rng_state(generator)
+
+        self._update(*tensors)  # what is made at first use is then made of real tensors
+        put_back()
+        try:
+            with warnings.catch_warnings(), torch.no_grad():
+                warnings.simplefilter("ignore")  # of the libraries' code
+                graph = self._trace(tensors)
+                put_back()  # what involves no tensor of the batch is not only recorded but done
+                arguments = self._arguments(tensors)
+                run = importlib.import_module("torch._inductor").compile(
+                    graph, arguments, options={"cpp_wrapper": True}
+                )
+                run(*arguments)  # a damaged cache shows itself here
+            self._run = run
+        except Exception as error:  # whatever a compiler, its cache or a new version come up with
+            self.failed = True
+            reason = f"{type(error).__name__}: {str(error).strip().partition(chr(10))[0]}"
+            warnings.warn(
+                "the update is not compiled and takes two to three times as long: "
+                f"{reason}; if the compiler's cache is damaged, remove {cache}",
+                stacklevel=4,
+            )
+        put_back()
         self.compile_seconds = time.perf_counter() - start
-        return run
 
     def _trace(self, tensors: tuple[Tensor, ...]) -> GraphModule:
         def values(*arguments: Tensor) -> list[Tensor]:
-            metrics = self._update(*arguments)
+            with torch.enable_grad():
+                metrics = self._update(*arguments)
             self._names = list(metrics)
             return list(metrics.values())
 
-        # what involves no tensor of the batch, such as the targets' step, is not only recorded but done
-        owned = [value for value in self._module.state_dict().values() if isinstance(value, Tensor)]
-        before = [value.clone() for value in owned]
         graph = make_fx(values, tracing_mode="fake", _allow_non_fake_inputs=True)(*tensors)
-        for value, old in zip(owned, before, strict=True):
-            value.copy_(old)
-        graph, self._state = _lift_state(graph)
-        return graph
+        self._state = _lift_state(graph)
+        self._draws = _lift_draws(graph)
+        return GraphModule(nn.Module(), graph.graph)
 
 
-def _lift_state(module: GraphModule) -> tuple[GraphModule, list[Tensor]]:
-    """Make an argument of each tensor that the graph holds; return graph and tensors, in the arguments' order.
+def _last_argument(graph: Graph) -> Node:
+    return next(node for node in reversed(graph.nodes) if node.op == "placeholder")
 
-    A parameter and its ``.data`` are two tensors with one memory: they become one argument, so that what one name
-    writes the other reads.
+
+def _lift_state(module: GraphModule) -> list[Tensor]:
+    """Make an argument of each tensor that the graph holds; return the tensors, in order.
+
+    A parameter and its ``.data`` are two tensors with one memory: they become one argument, so that
+    what one name writes the other reads.
     """
     graph = module.graph
-    last = next(node for node in reversed(graph.nodes) if node.op == "placeholder")
+    last = _last_argument(graph)
     without_data = last.meta["val"].fake_mode
     arguments: dict[tuple[object, ...], Node] = {}
     state: list[Tensor] = []
@@ -145,16 +176,41 @@ def _lift_state(module: GraphModule) -> tuple[GraphModule, list[Tensor]]:
             state.append(tensor)
         node.replace_all_uses_with(arguments[memory])
         graph.erase_node(node)
-    return GraphModule(nn.Module(), graph), state
+    return state
 
 
-def _compile(graph: GraphModule, arguments: list[Any]) -> Callable[..., Sequence[Tensor]]:
-    _choose_cache()
-    return torch._inductor.compile(graph, arguments, options={"cpp_wrapper": True})
+def _lift_draws(module: GraphModule) -> list[Callable[[], Tensor]]:
+    """Make an argument of each random tensor; return what draws them, in order.
+
+    The compiler may change the order of draws that do not depend on one another.
+    """
+    graph = module.graph
+    draws: list[Callable[[], Tensor]] = []
+    for node in [node for node in graph.nodes if node.target in DRAWS]:
+        with graph.inserting_after(_last_argument(graph)):
+            argument = graph.placeholder(f"random_{len(draws)}")
+        argument.meta["val"] = node.meta["val"]
+        draws.append(_draw(node))
+        node.replace_all_uses_with(argument)
+        graph.erase_node(node)
+    return draws
 
 
-def _choose_cache() -> None:
+def _draw(node: Node) -> Callable[[], Tensor]:
+    """Return what does a random operation, whose tensors lend nothing but shape and type."""
+    draw = cast(Callable[..., Tensor], node.target)
+    kwargs = {k: v for k, v in node.kwargs.items() if k != "pin_memory"}
+
+    def template(argument: Any) -> Any:
+        if not isinstance(argument, Node):
+            return argument
+        like = argument.meta["val"]
+        return torch.empty(like.shape, dtype=like.dtype, device=like.device)
+
+    return partial(draw, *map(template, node.args), **kwargs)
+
+
+def _choose_cache() -> str:
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rrl"
-    os.environ.setdefault(
-        "TORCHINDUCTOR_CACHE_DIR", str(cache / "inductor")
-    )  # PyTorch's own is in /tmp
+    # PyTorch's own is in /tmp
+    return os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(cache / "inductor"))

@@ -1,4 +1,4 @@
-"""DDPG on stacked seeds, built from TorchRL's loss."""
+"""DDPG, from TorchRL's loss."""
 
 from __future__ import annotations
 
@@ -6,48 +6,47 @@ from typing import Any
 
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
-from torch import Tensor
+from torch import Tensor, nn
 from torchrl.objectives import DDPGLoss
 
 from rrl.algorithms.base import Agent
 from rrl.keys import ACTION
 
+__all__ = ["DDPG"]
+
 
 class DDPG(Agent):
-    """Deep deterministic policy gradient (Lillicrap et al., 2016) for ``S`` independent seeds at once.
-
-    One critic, no smoothing, no delay: what TD3 improves on.
+    """Deep deterministic policy gradient (Lillicrap et al., 2016): what TD3 improves on.
 
     Args:
-        input_sizes, action_size, hyperparameters: see :class:`Agent`.
-
+        inputs: See :class:`Agent`.
+        action_size: See :class:`Agent`.
+        arguments: ``symmetry``, and the fields of :class:`~rrl.algorithms.base.AgentSettings`.
     """
 
-    stream = "ddpg"
-
-    def __init__(
-        self, input_sizes: dict[str, int], action_size: int, **hyperparameters: Any
-    ) -> None:
-        super().__init__(input_sizes, action_size, **hyperparameters)
-        actor = self.make_actor(action_size, squash=True)
-        (critic,) = self.make_critics(1)
+    def __init__(self, inputs: Any, action_size: int, **arguments: Any) -> None:
+        super().__init__(inputs, action_size, **arguments)
+        network = nn.Sequential(self.make_actor(action_size), nn.Tanh())
+        self.policy = TensorDictModule(
+            self.acting_network(network), in_keys=list(self.inputs), out_keys=[ACTION]
+        )
         loss = DDPGLoss(
-            TensorDictModule(actor, in_keys=self.input_keys, out_keys=[ACTION]),
-            critic,
-            loss_function=self.loss_function,
+            TensorDictModule(network, in_keys=self.read_keys, out_keys=[ACTION]),
+            self.make_critics(1)[0],
+            loss_function=self.settings.loss_function,
             delay_actor=True,
             delay_value=True,
-            reduction="none",
         )
         self.learn_from(loss, loss.value_network_params, loss.actor_network_params)
 
     def value_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the critic's loss, with ``q_value`` and ``target_value``."""
         loss, info = self.loss.loss_value(batch)
-        return loss, {
-            "q_value": info["pred_value"].detach().mean(-1),
-            "target_value": info["target_value"].mean(-1),
+        means = {
+            "q_value": info["pred_value"].detach().mean(),
+            "target_value": info["target_value"].mean(),
         }
+        return loss, means
 
     def actor_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """Return minus the critic's value."""

@@ -2,193 +2,197 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from typing import Any
+from typing import Any, Literal, get_args
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictParams
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 from torchrl.objectives import LossModule, SACLoss, TD3Loss
 from torchrl.objectives.sac import compute_rsample_log_prob
 from torchrl.objectives.utils import distance_loss
 
-from rrl.algorithms.base import Agent
-from rrl.checks import check
-from rrl.slot_random import SlotGenerators
+__all__ = ["EnsembleSACLoss", "EnsembleTD3Loss"]
 
-__all__ = ["SUBSET", "EnsembleAgent", "EnsembleSACLoss", "EnsembleTD3Loss", "draw_subsets"]
-
-SUBSET = "target_subset"
-
-
-class EnsembleAgent(Agent):
-    """A learner with any number of critics.
-
-    With more than two critics, or a target of fewer than two, it learns in the manner of REDQ (Chen et al., 2021): each
-    target is the least of a random subset of the critics, the policy climbs the mean of all. Together with
-    ``layer_norm`` and several updates a step that is DroQ (Hiraoka et al., 2022) without its dropout.
-
-    Args:
-        num_critics: size of the ensemble; with 2, and both in the target, the algorithm is as it was published.
-        target_subset: how many critics, drawn anew for every update, make the target.
-        input_sizes, action_size, hyperparameters: see :class:`Agent`.
-
-    """
-
-    def __init__(
-        self,
-        input_sizes: dict[str, int],
-        action_size: int,
-        *,
-        num_critics: int = 2,
-        target_subset: int = 2,
-        **hyperparameters: Any,
-    ) -> None:
-        super().__init__(input_sizes, action_size, **hyperparameters)
-        of_all = f"1 to num_critics ({num_critics}) critics"
-        check("target_subset", target_subset, of_all, 1 <= target_subset <= num_critics)
-        self.num_critics, self.target_subset = num_critics, target_subset
-
-    @property
-    def is_ensemble(self) -> bool:
-        """Whether there are other than two critics, both of them in the target."""
-        return (self.num_critics, self.target_subset) != (2, 2)
-
-    def prepare(self, batches: TensorDictBase) -> None:
-        """Draw the critics of each target."""
-        if self.target_subset < self.num_critics:
-            subsets = draw_subsets(self._noise, len(batches), self.num_critics, self.target_subset)
-            batches["next", SUBSET] = subsets.unsqueeze(2).expand(*batches.shape, -1)
+Metrics = dict[str, Tensor]
+PolicyValue = Literal["mean", "first", "least"]
+"""What the policy climbs: the mean of all critics (REDQ), the first (TD3), the least (SAC)."""
 
 
 class _Ensemble(LossModule):
     """``N`` critics in the manner of REDQ (Chen et al., 2021).
 
-    All critics learn the same target, the least value among the target critics that the batch's ("next",
-    "target_subset"), bool ``[S, B, N]``, names (all, where it is missing); the policy climbs the mean of all critics.
-    Subsets come as data: drawn in here, from the global generator, they would tie the seeds of a stack together.
-    Losses are not reduced, ``[S, B]``; keys and metrics are TorchRL's.
+    All critics learn the same target, the least value among ``target_subset`` of the target
+    critics, drawn anew for every update. Everything else, keys and output included, is TorchRL's.
     """
 
-    @abstractmethod
-    def _values(self, tensordict: TensorDictBase, params: TensorDictParams) -> Tensor:
-        """Every critic's value of the same observations and actions, ``[N, S, B]``."""
+    policy_value: PolicyValue
+    target_subset: int
 
-    def _least(self, tensordict: TensorDictBase, following: TensorDictBase) -> Tensor:
-        """The least of the chosen target critics' values of ``following``, ``[S, B]``."""
+    def _configure(self, target_subset: int, policy_value: PolicyValue) -> None:
+        if not 1 <= target_subset <= self.num_qvalue_nets:
+            raise ValueError(
+                f"target_subset: expected 1 to num_qvalue_nets ({self.num_qvalue_nets}) critics, "
+                f"got {target_subset}"
+            )
+        if policy_value not in get_args(PolicyValue):
+            choices = ", ".join(get_args(PolicyValue))
+            raise ValueError(f"policy_value: expected one of {choices}, got {policy_value!r}")
+        self.target_subset, self.policy_value = target_subset, policy_value
+
+    def _values(self, tensordict: TensorDictBase, params: TensorDictBase) -> Tensor:
+        """Return every critic's value of the same observations and actions, ``[N, *batch]``."""
+
+        def value(inputs: TensorDictBase, params: TensorDictBase) -> Tensor:
+            with params.to_module(self.qvalue_network):
+                return self.qvalue_network(inputs).get(self.tensor_keys.state_action_value)
+
+        inputs = tensordict.select(*self.qvalue_network.in_keys, strict=False)
+        vmapped = torch.vmap(value, (None, 0), randomness=self.vmap_randomness)
+        return vmapped(inputs, params).squeeze(-1)
+
+    def _policy_value(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """Return what the policy climbs, ``[*batch]``, and the critics' values ``[n, *batch]``."""
+        params = self.qvalue_network_params.detach()
+        values = self._values(tensordict, params[:1] if self.policy_value == "first" else params)
+        return (values.min(0)[0] if self.policy_value == "least" else values.mean(0)), values
+
+    def _least_target(self, following: TensorDictBase) -> Tensor:
+        """Return the least value of the drawn target critics, ``[*batch]``."""
         values = self._values(following, self.target_qvalue_network_params)
-        subset = tensordict.get(("next", SUBSET), None)
-        if subset is not None:
-            values = torch.where(subset.movedim(-1, 0), values, torch.inf)
+        if self.target_subset < self.num_qvalue_nets:
+            drawn = torch.rand(self.num_qvalue_nets, device=values.device).argsort()
+            values = values[drawn[: self.target_subset]]
         return values.min(0)[0]
 
     def _critics_loss(
-        self, tensordict: TensorDictBase, worth: Tensor
-    ) -> tuple[Tensor, dict[str, Tensor]]:
-        """The sum of the critics' losses where the next states are worth ``worth`` [S, B]."""
+        self, tensordict: TensorDictBase, next_value: Tensor
+    ) -> tuple[Tensor, Metrics]:
+        """Return the sum of the critics' losses where the next states have ``next_value``."""
         data = tensordict.clone(False)
-        data.set(("next", self.value_estimator.tensor_keys.value), worth.unsqueeze(-1))
+        value_key = self.value_estimator.tensor_keys.value
+        data.set(("next", value_key), next_value.unsqueeze(-1))
         target = self.value_estimator.value_estimate(data).squeeze(-1)
-        values = self._values(tensordict, self.qvalue_network_params)  # (N, S, B)
-        loss = distance_loss(
-            values, target.expand_as(values), loss_function=self.loss_function
-        ).sum(0)
-        return loss, {
+        values = self._values(tensordict, self.qvalue_network_params)  # (N, *batch)
+        distance = distance_loss(values, target.expand_as(values), self.loss_function).sum(0)
+        return self._reduced(distance, tensordict), {
             "td_error": (values - target).square().detach(),
-            "next_state_value": worth,
+            "next_state_value": next_value,
             "pred_value": values.detach(),
             "target_value": target,
         }
 
+    def _reduced(self, loss: Tensor, tensordict: TensorDictBase) -> Tensor:
+        """Reduce a loss ``[*batch]`` as ``reduction`` says, with priority weights if there are any."""
+        weights = tensordict.get(self.tensor_keys.priority_weight, None)
+        if weights is not None and self.use_prioritized_weights:
+            loss = loss * weights.reshape(loss.shape)
+            if self.reduction == "mean":
+                return loss.sum() / weights.sum()
+        return {"none": lambda: loss, "mean": loss.mean, "sum": loss.sum}[self.reduction]()
+
 
 class EnsembleTD3Loss(_Ensemble, TD3Loss):
-    """TorchRL's TD3 with an ensemble; smoothing noise is data too and none is drawn. See :class:`_Ensemble`."""
+    """:class:`torchrl.objectives.TD3Loss` with an ensemble of critics (REDQ, Chen et al., 2021).
 
-    def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the sum of the critics' losses and what TorchRL's loss tells about it."""
+    With two critics, both in the target, and ``policy_value="first"`` it is ``TD3Loss``.
+
+    Args:
+        actor_network: The policy.
+        qvalue_network: One critic, or a list of critics that keep their initialization.
+        target_subset: How many critics, drawn anew for every update, make the target.
+        policy_value: What the policy climbs: ``mean``, ``first`` or ``least`` of the critics' values.
+        arguments: Of :class:`~torchrl.objectives.TD3Loss`; ``num_qvalue_nets`` is the ensemble's size.
+
+    Raises:
+        ValueError: If ``target_subset`` is not in 1 to ``num_qvalue_nets``.
+    """
+
+    def __init__(
+        self,
+        actor_network: Any,
+        qvalue_network: Any,
+        *,
+        target_subset: int = 2,
+        policy_value: PolicyValue = "mean",
+        **arguments: Any,
+    ) -> None:
+        super().__init__(actor_network, qvalue_network, **arguments)
+        self._configure(target_subset, policy_value)
+
+    def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, Metrics]:
+        """Return the sum of the critics' losses and what ``TD3Loss`` tells about it."""
+        noise = torch.randn_like(tensordict.get(self.tensor_keys.action)) * self.policy_noise
         with torch.no_grad():
-            worth = self._worth(tensordict)
-        return self._critics_loss(tensordict, worth)
+            following = step_mdp(tensordict).select(*self.actor_network.in_keys, strict=False)
+            with self.target_actor_network_params.to_module(self.actor_network):
+                following = self.actor_network(following)
+            action = following.get(self.tensor_keys.action)
+            action = action + noise.clamp(-self.noise_clip, self.noise_clip)
+            following.set(self.tensor_keys.action, action.clamp(self.min_action, self.max_action))
+            next_value = self._least_target(following)
+        return self._critics_loss(tensordict, next_value)
 
-    def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return minus the critics' mean."""
+    def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, Metrics]:
+        """Return minus the value that the policy climbs."""
         acting = tensordict.select(*self.actor_network.in_keys, strict=False)
-        with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
+        with self.actor_network_params.to_module(self.actor_network):
             acting = self.actor_network(acting)
-        values = self._values(acting, self._cached_detach_qvalue_network_params)
-        return -values.mean(0), {"state_action_value_actor": values.detach()}
-
-    def _worth(self, tensordict: TensorDictBase) -> Tensor:
-        following = step_mdp(tensordict).select(*self.actor_network.in_keys, strict=False)
-        with self.target_actor_network_params.to_module(
-            self.actor_network, preserve_module_state=False
-        ):
-            following = self.actor_network(following)
-        action = self.tensor_keys.action
-        following.set(action, following.get(action).clamp(self.min_action, self.max_action))
-        return self._least(tensordict, following)
-
-    def _values(self, tensordict: TensorDictBase, params: TensorDictParams) -> Tensor:
-        inputs = tensordict.select(*self.qvalue_network.in_keys).expand(
-            self.num_qvalue_nets, *tensordict.batch_size
-        )
-        return (
-            self._vmap_qvalue_network00(inputs, params)
-            .get(self.tensor_keys.state_action_value)
-            .squeeze(-1)
-        )
+        value, values = self._policy_value(acting)
+        return self._reduced(-value, tensordict), {"state_action_value_actor": values.detach()}
 
 
 class EnsembleSACLoss(_Ensemble, SACLoss):
-    """TorchRL's SAC with an ensemble. See :class:`_Ensemble`."""
+    """:class:`torchrl.objectives.SACLoss` with an ensemble of critics (REDQ, Chen et al., 2021).
 
-    def qvalue_v2_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+    With two critics, both in the target, and ``policy_value="least"`` it is ``SACLoss``.
+
+    Args:
+        actor_network: The stochastic policy.
+        qvalue_network: One critic, or a list of critics that keep their initialization.
+        target_subset: How many critics, drawn anew for every update, make the target.
+        policy_value: What the policy climbs: ``mean``, ``first`` or ``least`` of the critics' values.
+        arguments: Of :class:`~torchrl.objectives.SACLoss`; ``num_qvalue_nets`` is the ensemble's size.
+
+    Raises:
+        ValueError: If ``target_subset`` is not in 1 to ``num_qvalue_nets``.
+    """
+
+    def __init__(
+        self,
+        actor_network: Any,
+        qvalue_network: Any,
+        *,
+        target_subset: int = 2,
+        policy_value: PolicyValue = "mean",
+        **arguments: Any,
+    ) -> None:
+        super().__init__(actor_network, qvalue_network, **arguments)
+        self._configure(target_subset, policy_value)
+
+    def qvalue_v2_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, Metrics]:
         """Return the sum of the critics' losses; ``td_error`` is the largest of the critics'."""
         with torch.no_grad():
             following = tensordict.get("next").copy()
             action, log_prob = self._sample(following)
             following.set(self.tensor_keys.action, action)
-            worth = self._least(tensordict, following) - self._alpha * log_prob
-        loss, info = self._critics_loss(tensordict, worth)
+            entropy_bonus = -self.log_alpha.exp() * log_prob
+            next_value = self._least_target(following) + entropy_bonus
+        loss, info = self._critics_loss(tensordict, next_value)
         return loss, {**info, "td_error": info["td_error"].sqrt().max(0)[0]}
 
-    def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return temperature times log-probability minus the critics' mean."""
+    def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, Metrics]:
+        """Return temperature times log-probability minus the value that the policy climbs."""
         action, log_prob = self._sample(tensordict)
-        acting = tensordict.select(*self.qvalue_network.in_keys, strict=False).set(
-            self.tensor_keys.action, action
-        )
-        values = self._values(acting, self._cached_detached_qvalue_params)
-        return self._alpha * log_prob - values.mean(0), {"log_prob": log_prob.detach()}
+        acting = tensordict.select(*self.qvalue_network.in_keys, strict=False)
+        value, _ = self._policy_value(acting.set(self.tensor_keys.action, action))
+        loss = self.log_alpha.exp().detach() * log_prob - value
+        return self._reduced(loss, tensordict), {"log_prob": log_prob.detach()}
 
     def _sample(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
-        """An action of the policy, and its log-probability."""
+        """Return an action of the policy and its log-probability."""
         with (
             set_exploration_type(ExplorationType.RANDOM),
-            self.actor_network_params.to_module(self.actor_network, preserve_module_state=False),
+            self.actor_network_params.to_module(self.actor_network),
         ):
             return compute_rsample_log_prob(self.actor_network.get_dist(tensordict))
-
-    def _values(self, tensordict: TensorDictBase, params: TensorDictParams) -> Tensor:
-        inputs = tensordict.select(*self.qvalue_network.in_keys, strict=False)
-        return (
-            self._vmap_qnetworkN0(inputs, params)
-            .get(self.tensor_keys.state_action_value)
-            .squeeze(-1)
-        )
-
-
-def draw_subsets(generators: SlotGenerators, k: int, num_critics: int, size: int) -> Tensor:
-    """Draw which critics make each update's target: bool ``[k, S, N]`` with ``size`` of the ``N`` true.
-
-    Args:
-        generators: one a seed.
-        k: number of updates.
-        num_critics: size ``N`` of the ensemble.
-        size: critics in a subset, from 1 to ``N``.
-
-    """
-    ranks = generators.uniform((k, num_critics)).argsort(-1).argsort(-1)  # (S, k, N)
-    return (ranks < size).transpose(0, 1)

@@ -1,129 +1,123 @@
-"""Networks whose leading dimension is the training seed.
-
-Ten runs of a small network cost little more than one when their weights are stacked, ``[S, in, out]``, and
-multiplied in one batched product. A single run is ``S = 1``. Nothing couples the stack: every seed has its own
-weights, its own batch and its own gradient.
-"""
+"""Networks and encoders that a configuration can name."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import torch
+from tensordict import NestedKey
 from torch import Tensor, nn
+from torchrl.modules import MLP
+
+from rrl.inputs import Input
+
+__all__ = ["Concatenate", "EncodedNetwork", "EncoderFactory", "NetworkFactory", "last_layer", "mlp"]
+
+Inputs = Mapping[NestedKey, Input]
+
+NetworkFactory = Callable[..., nn.Module]
+"""Called with ``in_features`` and ``out_features``."""
+
+EncoderFactory = Callable[[Inputs], nn.Module]
+"""From the policy's inputs to a module: values of all entries ``[*batch, *shape]``, in their order,
+to features ``[*batch, out_features]``; the module has the attribute ``out_features``."""
 
 
-class StackedLinear(nn.Module):
-    """``S`` independent linear layers evaluated in one batched product.
-
-    Args:
-        num_seeds: size ``S`` of the stack.
-        in_features: size of the last input dimension.
-        out_features: size of the last output dimension.
-        bound: weights and biases are drawn from ``U(-bound, bound)``; ``1 / sqrt(in_features)`` when left out.
-        generators: one generator per seed, so that a seed's weights do not depend on the stack it is in.
-    """
-
-    def __init__(
-        self,
-        num_seeds: int,
-        in_features: int,
-        out_features: int,
-        *,
-        bound: float | None = None,
-        generators: Sequence[torch.Generator],
-    ) -> None:
-        super().__init__()
-        if len(generators) != num_seeds:
-            raise ValueError(
-                f"expected {num_seeds} generators, one per seed, got {len(generators)}"
-            )
-        bound = 1.0 / math.sqrt(in_features) if bound is None else bound
-
-        def draw(*shape: int) -> nn.Parameter:
-            rows = [torch.empty(shape).uniform_(-1.0, 1.0, generator=g) for g in generators]
-            return nn.Parameter(bound * torch.stack(rows))
-
-        self.weight = draw(in_features, out_features)  # (S, in, out)
-        self.bias = draw(1, out_features)  # (S, 1, out)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Map ``[S, B, in]`` to ``[S, B, out]``."""
-        return torch.baddbmm(self.bias, x, self.weight)
-
-
-class StackedLayerNorm(nn.Module):
-    """Layer normalisation with one scale and one offset per seed, on ``[S, B, features]``."""
-
-    def __init__(self, num_seeds: int, features: int) -> None:
-        super().__init__()
-        self.weight = nn.Parameter(torch.ones(num_seeds, 1, features))
-        self.bias = nn.Parameter(torch.zeros(num_seeds, 1, features))
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Normalise the last dimension."""
-        return nn.functional.layer_norm(x, x.shape[-1:]) * self.weight + self.bias
-
-
-class StackedMLP(nn.Module):
-    """``S`` independent multilayer perceptrons with ReLU units.
-
-    Inputs are concatenated along their last dimension. All leading dimensions are folded, seed first, so ``[in]``
-    (``S = 1``), ``[S * E, in]`` (``E`` environments per seed) and ``[S, B, in]`` are accepted alike; the
-    output has the leading dimensions of the input.
+def mlp(
+    in_features: int,
+    out_features: int,
+    *,
+    hidden: Sequence[int] = (256, 256),
+    layer_norm: bool = False,
+) -> nn.Module:
+    """Make a multilayer perceptron with ReLU units.
 
     Args:
-        num_seeds: size ``S`` of the stack.
-        in_features: summed size of the inputs' last dimensions.
-        out_features: size of the output's last dimension.
-        hidden: widths of the hidden layers.
-        last_layer_bound: the output layer is drawn from ``U(-bound, bound)``; 0 makes the untrained output zero.
-        layer_norm: normalise each hidden layer before its ReLU.
-        squash: apply ``tanh`` to the output.
-        generators: one generator per seed.
+        in_features: Size of the last input dimension; several inputs are concatenated.
+        out_features: Size of the last output dimension.
+        hidden: Widths of the hidden layers.
+        layer_norm: Normalize every hidden layer before its ReLU.
+
+    Raises:
+        ValueError: If a width is not a whole number of at least 1.
+    """
+    if isinstance(hidden, str) or not all(isinstance(w, int) and w > 0 for w in hidden):
+        raise ValueError(f"hidden: expected a list of whole numbers above 0, got {hidden!r}")
+    norms = {"norm_class": nn.LayerNorm, "norm_kwargs": [{"normalized_shape": w} for w in hidden]}
+    return MLP(
+        in_features=in_features,
+        out_features=out_features,
+        num_cells=list(hidden),
+        activation_class=nn.ReLU,
+        **(norms if layer_norm and len(hidden) else {}),
+    )
+
+
+class Concatenate(nn.Module):
+    """The default encoder: flatten, normalize and concatenate all inputs.
+
+    Args:
+        inputs: Observation entries with shape, center and scale.
+
+    Raises:
+        ValueError: If a center or scale does not fit its entry; the message names the entry.
     """
 
-    def __init__(
-        self,
-        num_seeds: int,
-        in_features: int,
-        out_features: int,
-        hidden: Sequence[int],
-        *,
-        last_layer_bound: float | None = None,
-        layer_norm: bool = False,
-        squash: bool = False,
-        generators: Sequence[torch.Generator],
-    ) -> None:
-        super().__init__()
-        if isinstance(hidden, str) or not all(
-            isinstance(width, int) and width > 0 for width in hidden
-        ):
-            raise ValueError(
-                f"hidden: expected a list of widths, whole numbers of at least 1, got {hidden!r}"
-            )
-        self.num_seeds = num_seeds
-        self.squash = squash
-        layers: list[nn.Module] = []
-        width = in_features
-        for size in hidden:
-            layers.append(StackedLinear(num_seeds, width, size, generators=generators))
-            if layer_norm:
-                layers.append(StackedLayerNorm(num_seeds, size))
-            layers.append(nn.ReLU())
-            width = size
-        layers.append(
-            StackedLinear(
-                num_seeds, width, out_features, bound=last_layer_bound, generators=generators
-            )
-        )
-        self.layers = nn.Sequential(*layers)
+    loc: Tensor
+    scale: Tensor
 
-    def forward(self, *inputs: Tensor) -> Tensor:
-        """Map inputs ``[..., in_i]`` to ``[..., out]``."""
-        x = torch.cat(inputs, -1) if len(inputs) > 1 else inputs[0]
-        y = self.layers(x.reshape(self.num_seeds, -1, x.shape[-1]))
-        if self.squash:
-            y = y.tanh()
-        return y.reshape(*x.shape[:-1], y.shape[-1])
+    def __init__(self, inputs: Inputs) -> None:
+        super().__init__()
+        columns: dict[str, list[Tensor]] = {"loc": [], "scale": []}
+        for key, entry in inputs.items():
+            for field, parts in columns.items():
+                try:
+                    parts.append(entry.column(field))
+                except (ValueError, TypeError) as error:
+                    raise ValueError(f"inputs.{key}.{error}") from error
+        self._shapes = [entry.shape for entry in inputs.values()]
+        for field, parts in columns.items():
+            self.register_buffer(field, torch.cat(parts), persistent=False)
+        self.out_features = self.loc.numel()
+
+    def forward(self, *values: Tensor) -> Tensor:
+        """Return features ``[*batch, n]`` of entries ``[*batch, *shape]``."""
+        flat = [
+            value.reshape(*value.shape[: value.ndim - len(shape)], -1).to(self.loc)
+            for value, shape in zip(values, self._shapes, strict=True)
+        ]
+        joined = torch.cat(flat, -1) if len(flat) > 1 else flat[0]
+        return (joined - self.loc) * self.scale
+
+
+class EncodedNetwork(nn.Module):
+    """A network behind its encoder, on whatever device it lies.
+
+    Args:
+        encoder: From input entries to features.
+        network: From features, and further values, to the output.
+        num_entries: How many of the values that come go through the encoder.
+    """
+
+    def __init__(self, encoder: nn.Module, network: nn.Module, num_entries: int) -> None:
+        super().__init__()
+        self.encoder, self.network, self.num_entries = encoder, network, num_entries
+
+    def forward(self, *values: Tensor) -> Tensor:
+        """Return the network's output ``[*batch, out]`` on the device of the values."""
+        device = next(self.network.parameters()).device
+        moved = [value.to(device) for value in values]
+        features = self.encoder(*moved[: self.num_entries])
+        return self.network(features, *moved[self.num_entries :]).to(values[0].device)
+
+
+def last_layer(network: nn.Module) -> nn.Linear:
+    """Return the last linear layer of a network.
+
+    Raises:
+        ValueError: If it has none.
+    """
+    linear = [module for module in network.modules() if isinstance(module, nn.Linear)]
+    if not linear:
+        raise ValueError(f"network: expected a linear output layer, got {network}")
+    return linear[-1]

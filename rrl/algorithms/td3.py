@@ -1,132 +1,110 @@
-"""TD3 on stacked seeds, built from TorchRL's loss."""
+"""TD3, from TorchRL's loss."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
-import torch
+from pydantic import Field, model_validator
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
-from torch import Tensor
+from tensordict.nn import TensorDictModule
+from torch import Tensor, nn
+from torchrl.objectives import TD3Loss
 
-from rrl.algorithms.ensemble import EnsembleAgent, EnsembleTD3Loss
-from rrl.checks import check
+from rrl.algorithms.base import Agent, AgentSettings
+from rrl.algorithms.ensemble import EnsembleTD3Loss
 from rrl.keys import ACTION
 
-SMOOTHING = "target_smoothing"
+__all__ = ["TD3", "EnsembleSettings", "TD3Settings"]
 
 
-class TargetSmoothing(TensorDictModuleBase):
-    """Add the noise found under ``target_smoothing`` to the action; without it, do nothing.
+class EnsembleSettings(AgentSettings):
+    """Hyperparameters of algorithms with any number of critics.
 
-    TD3 perturbs its target policy's action. :class:`torchrl.objectives.TD3Loss` draws that noise from the global
-    generator, which would tie the seeds of a stack together; as data in the batch's ``next`` it belongs to one seed,
-    can be replayed, and costs a compiled update no generator. The loss clips the sum to the action bounds.
+    Attributes:
+        num_critics: Size of the ensemble.
+        target_subset: How many critics, drawn anew for every update, make the target. With 2
+            critics, both in the target, the algorithm is as it was published; otherwise it learns
+            in the manner of REDQ (Chen et al., 2021).
     """
 
-    in_keys = (ACTION, SMOOTHING)
-    out_keys = (ACTION,)
+    num_critics: int = Field(2, ge=1)
+    target_subset: int = Field(2, ge=1)
 
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write the perturbed ``action``."""
-        noise = tensordict.get(SMOOTHING, None)
-        if noise is not None:
-            tensordict.set(ACTION, tensordict.get(ACTION) + noise)
-        return tensordict
+    @property
+    def is_ensemble(self) -> bool:
+        """Whether there are other than two critics, both of them in the target."""
+        return (self.num_critics, self.target_subset) != (2, 2)
+
+    @model_validator(mode="after")
+    def _check(self) -> EnsembleSettings:
+        if self.target_subset > self.num_critics:
+            raise ValueError(
+                f"target_subset: expected 1 to num_critics ({self.num_critics}) critics, "
+                f"got {self.target_subset}"
+            )
+        return self
 
 
-class TwinTD3Loss(EnsembleTD3Loss):
-    """TorchRL's TD3 itself, without what it computes and throws away.
+class TD3Settings(EnsembleSettings):
+    """Hyperparameters of TD3.
 
-    :class:`torchrl.objectives.TD3Loss` evaluates both critics for the policy's loss, and differentiates both, to use
-    the first; and draws smoothing noise from the global generator even where it is multiplied by 0.
+    Attributes:
+        policy_delay: Critic updates per update of policy and targets.
+        target_noise: Standard deviation of target policy smoothing.
+        target_noise_clip: Bound of target policy smoothing.
     """
 
-    def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return minus the first critic's value."""
-        acting = tensordict.select(*self.actor_network.in_keys, strict=False)
-        with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
-            acting = self.actor_network(acting)
-        with (
-            self.qvalue_network_params[0]
-            .detach()
-            .to_module(self.qvalue_network, preserve_module_state=False)
-        ):
-            value = self.qvalue_network(acting).get(self.tensor_keys.state_action_value).squeeze(-1)
-        return -value, {"state_action_value_actor": value.detach()}
+    policy_delay: int = Field(2, ge=1)
+    target_noise: float = Field(0.2, ge=0)
+    target_noise_clip: float = Field(0.5, ge=0)
 
 
-class TD3(EnsembleAgent):
-    """Twin delayed DDPG (Fujimoto et al., 2018) for ``S`` independent seeds at once.
+class TD3(Agent):
+    """Twin delayed DDPG (Fujimoto et al., 2018), the paper's choice (section III-B).
 
-    The paper's choice of algorithm (section III-B). Policy *and* targets move on every ``policy_delay``-th update.
+    Policy *and* targets move on every ``policy_delay``-th update.
 
     Args:
-        policy_delay: critic updates per update of policy and targets.
-        target_noise, target_noise_clip: standard deviation and bound of target policy smoothing.
-        residual_penalty: weight of the mean squared action in the policy's loss, in units of the critics' value.
-        input_sizes, action_size, hyperparameters: see :class:`EnsembleAgent`.
-
+        inputs: See :class:`Agent`.
+        action_size: See :class:`Agent`.
+        arguments: ``symmetry``, and the fields of :class:`TD3Settings`.
     """
 
-    stream = SMOOTHING
+    Settings: ClassVar[type[AgentSettings]] = TD3Settings
+    settings: TD3Settings
 
-    def __init__(
-        self,
-        input_sizes: dict[str, int],
-        action_size: int,
-        *,
-        policy_delay: int = 2,
-        target_noise: float = 0.2,
-        target_noise_clip: float = 0.5,
-        residual_penalty: float = 0.0,
-        **hyperparameters: Any,
-    ) -> None:
-        super().__init__(input_sizes, action_size, policy_delay=policy_delay, **hyperparameters)
-        check("target_noise", target_noise, "a standard deviation of 0 or more", target_noise >= 0)
-        check(
-            "target_noise_clip", target_noise_clip, "a bound of 0 or more", target_noise_clip >= 0
+    def __init__(self, inputs: Any, action_size: int, **arguments: Any) -> None:
+        super().__init__(inputs, action_size, **arguments)
+        settings = self.settings
+        network = nn.Sequential(self.make_actor(action_size), nn.Tanh())
+        self.policy = TensorDictModule(
+            self.acting_network(network), in_keys=list(self.inputs), out_keys=[ACTION]
         )
-        check("residual_penalty", residual_penalty, "a weight of 0 or more", residual_penalty >= 0)
-        self.target_noise, self.target_noise_clip = target_noise, target_noise_clip
-        self.residual_penalty = residual_penalty
-        actor = TensorDictModule(
-            self.make_actor(action_size, squash=True), self.input_keys, [ACTION]
+        common: dict[str, Any] = {
+            "num_qvalue_nets": settings.num_critics,
+            "bounds": (-1.0, 1.0),
+            "policy_noise": settings.target_noise,
+            "noise_clip": settings.target_noise_clip,
+            "loss_function": settings.loss_function,
+        }
+        networks = (
+            TensorDictModule(network, in_keys=self.read_keys, out_keys=[ACTION]),
+            # A list keeps each critic's own initialization.
+            self.make_critics(settings.num_critics),
         )
-        make_loss = EnsembleTD3Loss if self.is_ensemble else TwinTD3Loss
-        loss = make_loss(
-            TensorDictSequential(actor, TargetSmoothing()),
-            # a list keeps each critic's own initialisation: TD3Loss would redraw copies of a single one
-            self.make_critics(self.num_critics),
-            num_qvalue_nets=self.num_critics,
-            bounds=(-1.0, 1.0),
-            policy_noise=0.0,  # see TargetSmoothing
-            loss_function=self.loss_function,
-            reduction="none",
+        loss = (
+            EnsembleTD3Loss(*networks, target_subset=settings.target_subset, **common)
+            if settings.is_ensemble
+            else TD3Loss(*networks, **common)
         )
         self.learn_from(loss, loss.qvalue_network_params, loss.actor_network_params)
-
-    def prepare(self, batches: TensorDictBase) -> None:
-        """Draw the noise of target policy smoothing and the critics of each target."""
-        batches["next", SMOOTHING] = self._draw_smoothing(batches[ACTION].shape)
-        super().prepare(batches)
-
-    def _draw_smoothing(self, shape: torch.Size) -> Tensor:
-        clip = self.target_noise_clip
-        return (self.draw(shape) * self.target_noise).clamp_(-clip, clip)
 
     def value_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the sum of the critics' losses, with ``q_value`` and ``target_value``."""
         loss, info = self.loss.value_loss(batch)
-        return loss, {
-            "q_value": info["pred_value"].mean((0, -1)),
-            "target_value": info["target_value"].mean(-1),
-        }
+        means = {"q_value": info["pred_value"].mean(), "target_value": info["target_value"].mean()}
+        return loss, means
 
     def actor_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return minus the first critic's value, or an ensemble's mean, plus penalty, with ``residual_square``."""
-        loss = self.loss.actor_loss(batch)[0]
-        if not self.residual_penalty:
-            return loss, {}
-        square = self._actor(*(batch[key] for key in self.input_keys)).square().mean(-1)
-        return loss + self.residual_penalty * square, {"residual_square": square.detach().mean(-1)}
+        """Return minus the first critic's value, or an ensemble's mean."""
+        return self.loss.actor_loss(batch)[0], {}

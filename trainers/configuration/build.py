@@ -1,4 +1,4 @@
-"""From a plain, resolved configuration to a trainer. The last place that knows the configuration's layout."""
+"""From a plain, resolved configuration to a trainer. The last place that knows its layout."""
 
 from __future__ import annotations
 
@@ -10,32 +10,39 @@ from typing import Any
 from ..environment import EnvironmentFactory, Input
 from ..loggers import MetricsLogger
 from ..settings import TrainerSettings
+from ..training.learner import build
 from ..training.progress import Progress
 from ..training.trainer import Trainer
 from . import checks
+
+__all__ = [
+    "agent",
+    "build",
+    "check",
+    "environment",
+    "exploration",
+    "loggers",
+    "scenarios",
+    "settings",
+    "trainer",
+]
 
 Config = Mapping[str, Any]
 """The resolved configuration: dictionaries, lists, strings, numbers."""
 
 
-def build(node: Config) -> Any:
-    """Turn a node with ``_target_`` into a factory: a partial of the target with the node's other entries."""
-    arguments = {key: value for key, value in node.items() if key != "_target_"}
-    return partial(checks.locate(node["_target_"]), **arguments)
-
-
 def settings(config: Config) -> TrainerSettings:
-    """The trainer's settings.
+    """Return the trainer's settings.
 
     Raises:
-        pydantic.ValidationError: unknown keys, wrong types, values out of range, contradictions.
-
+        pydantic.ValidationError: If there are unknown keys, wrong types, values out of range or
+            contradictions.
     """
     return TrainerSettings.model_validate(config["trainer"])
 
 
 def environment(config: Config) -> EnvironmentFactory:
-    """The training environment: base, safety, disturbance, sensing, controller, inputs."""
+    """Return the training environment: base, safety, disturbance, sensing, controller, inputs."""
     env = config["env"]
     return EnvironmentFactory(
         base=build(env["base"]),
@@ -53,14 +60,20 @@ def environment(config: Config) -> EnvironmentFactory:
 
 
 def agent(config: Config) -> Any:
-    """A factory of learners; they know the task's symmetry if the algorithm uses it and the environment has one."""
+    """Return a factory of learners, which know the task's symmetry if the algorithm uses it."""
     make = build(config["algorithm"]["agent"])
-    symmetry = environment(config).symmetry() if config["algorithm"].get("use_symmetries") else None
+    symmetric = config["algorithm"].get("use_symmetries")
+    symmetry = environment(config).symmetry() if symmetric else None
     return make if symmetry is None else partial(make, symmetry=symmetry)
 
 
+def exploration(config: Config) -> Any:
+    """Return a factory of exploration modules."""
+    return build(config["algorithm"]["exploration"])
+
+
 def scenarios(config: Config) -> dict[str, EnvironmentFactory]:
-    """The environments to evaluate on: the training environment with some arguments of its base replaced."""
+    """Return the environments to evaluate on: the training one with some arguments replaced."""
     factory = environment(config)
     return {
         name: factory.with_overrides(**(overrides or {}))
@@ -69,18 +82,22 @@ def scenarios(config: Config) -> dict[str, EnvironmentFactory]:
 
 
 def loggers(config: Config) -> list[MetricsLogger]:
-    """The loggers that are switched on."""
+    """Return the loggers that are switched on."""
     return [build(node)() for node in _enabled(config["logger"])]
 
 
 def trainer(config: Config, run_dir: Path, progress: Progress | None = None) -> Trainer:
-    """A trainer ready to run in ``run_dir``; nothing is built before the whole configuration is checked."""
+    """Return a trainer ready to run in ``run_dir``; the whole configuration is checked first.
+
+    Raises:
+        ValueError: See :func:`check`.
+    """
     check(config)
     return Trainer(
         settings(config),
         environment(config),
         agent(config),
-        build(config["algorithm"]["exploration"]),
+        exploration(config),
         run_dir,
         scenarios=scenarios(config),
         loggers=loggers(config),
@@ -93,8 +110,7 @@ def check(config: Config) -> None:
     """Find what is wrong with a configuration before any environment is built.
 
     Raises:
-        ValueError: with every problem, one per line: where, what was expected, what came.
-
+        ValueError: With every problem, one per line: where, what was expected, what came.
     """
     if problems := checks.problems(config):
         raise ValueError("\n".join(problems))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,6 +17,7 @@ from rrl.keys import BASE_ACTION, PREVIOUS_ACTION
 from ..environment import Batching, EnvironmentFactory, Input
 from ..settings import Positive, TrainerSettings
 from ..storage.run_files import CONFIG_FILE
+from ..training.learner import build, locate
 
 Config = Mapping[str, Any]
 Problems = Iterator[str]
@@ -87,18 +88,18 @@ class _Root(_Section):
 
 
 def problems(config: Config) -> list[str]:
-    """Everything that is wrong, one line each: where, what was expected, what came."""
+    """Return everything that is wrong, one line each: where, what was expected, what came."""
     try:
         _Root.model_validate(config)
     except ValidationError as error:
         return explain(error)
-    return [*_check_targets(config), *_check_render(config), *_check_init_from(config)] or list(
-        _check_entries(config)
-    )
+    built: dict[str, Any] = {}
+    found = [*_check_targets(config, built), *_check_render(config), *_check_init_from(config)]
+    return found or list(_check_entries(config, built))
 
 
 def explain(error: ValidationError, prefix: str = "") -> list[str]:
-    """Pydantic's findings, one line each."""
+    """Return Pydantic's findings, one line each."""
     return [_line(e, prefix) for e in error.errors()]
 
 
@@ -114,46 +115,54 @@ def _line(error: Mapping[str, Any], prefix: str) -> str:
     return f"{where}: {message[0].lower()}{message[1:]}, got {error['input']!r}"
 
 
-def _check_targets(config: Config) -> Problems:
-    """Build what is cheap: controller, transforms, loggers, a small agent; let environments check their arguments."""
-    env, seeds = config["env"], {"num_seeds": 1, "seed": 0}
-    agent = {"input_sizes": {"observation": 1}, "action_size": 1, **seeds}
+def _check_targets(config: Config, built: dict[str, Any]) -> Problems:
+    """Check every target's arguments; build those that are classes and cheap, into ``built``."""
+    env, algorithm = config["env"], config["algorithm"]
     spec = Bounded(-1.0, 1.0, (1, 1), dtype=torch.float32)
-    yield from _check_build("controller", config["controller"])
-    yield from _check_build("algorithm.agent", config["algorithm"]["agent"], **agent)
-    yield from _check_build(
-        "algorithm.exploration", config["algorithm"]["exploration"], spec=spec, num_slots=1, seed=0
-    )
+    nodes: list[tuple[str, Target, Config]] = [
+        ("controller", config["controller"], {}),
+        ("algorithm.agent", algorithm["agent"], {"inputs": {"observation": 1}, "action_size": 1}),
+        ("algorithm.exploration", algorithm["exploration"], {"spec": spec}),
+    ]
     groups = {"disturbance": config.get("disturbance"), "safety": config.get("safety")}
     groups |= {"env.sensing": env.get("sensing"), "logger": config.get("logger")}
-    for group, nodes in groups.items():
-        for name, node in (nodes or {}).items():
-            if node:
-                yield from _check_build(f"{group}.{name}", node)
-    yield from _check_environment("env.base", env["base"], {})
-    for name, overrides in env["scenarios"].items():
-        yield from _check_environment(f"env.scenarios.{name}", env["base"], overrides or {})
+    for group, members in groups.items():
+        nodes += [(f"{group}.{name}", n, {}) for name, n in (members or {}).items() if n]
+    for path, node, given in nodes:
+        yield from _check_build(path, node, given, built)
+    for path, overrides in {
+        "env.base": {},
+        **{f"env.scenarios.{name}": o or {} for name, o in env["scenarios"].items()},
+    }.items():
+        yield from _check_environment(path, {**env["base"], **overrides})
     if env.get("renderer"):
         yield from _check_arguments("env.renderer", env["renderer"], 2)
 
 
-def _check_build(path: str, node: Target, **given: Any) -> Problems:
-    """Build a node's target with ``given`` arguments, and report what it says."""
+def _check_build(path: str, node: Target, given: Config, built: dict[str, Any]) -> Problems:
+    """Check a node's arguments, and their values by building it, unless it is a function.
+
+    A function may read earlier runs or play episodes: only its signature is compared.
+    """
+    for key, value in node.items():
+        if isinstance(value, Mapping) and "_target_" in value:
+            factory = value | {"_partial_": True}
+            yield from _check_arguments(f"{path}.{key}", factory, None)
     found = list(_check_arguments(path, node, given))
     yield from found
-    if found:
+    if found or not inspect.isclass(locate(node["_target_"])):
         return
-    arguments = {key: value for key, value in node.items() if key != "_target_"}
     try:
-        locate(node["_target_"])(**arguments, **given)
+        built[path] = build(node)(**given)
+    except ValidationError as error:
+        yield from explain(error, path)
     except Exception as error:  # a target may say in any way that it does not like its arguments
         yield f"{path}: {_text(error)}"
 
 
-def _check_environment(path: str, node: Target, overrides: Config) -> Problems:
-    """Check an environment's arguments by its signature, and by its own ``check_arguments`` where it has one."""
-    node = {**node, **overrides}
-    found = list(_check_arguments(path, node, {"num_envs": 1, "seed": 0}))
+def _check_environment(path: str, node: Target) -> Problems:
+    """Check an environment's arguments by signature, and by its ``check_arguments`` if it has one."""
+    found = list(_check_arguments(path, node, {"num_envs": 1}))
     yield from found
     if found:
         return
@@ -164,43 +173,57 @@ def _check_environment(path: str, node: Target, overrides: Config) -> Problems:
 
 
 def entries(base: Target) -> dict[str, int] | None:
-    """Sizes of the observation entries, from an environment that can tell them without being built; None otherwise."""
+    """Return the sizes of the observation entries, if the environment tells them without being built."""
     tell = getattr(locate(base["_target_"]), "check_arguments", None)
     arguments = {key: value for key, value in base.items() if key != "_target_"}
     return None if tell is None else dict(tell(**arguments))
 
 
-def _check_arguments(path: str, node: Target, given: Config | int) -> Problems:
-    """Compare a node with its target's signature; ``given`` are arguments that others supply, by name or in number."""
-    if not isinstance(node.get("_target_"), str):
-        yield f"{path}: expected _target_: package.module.name, got {node.get('_target_')!r}"
+def _check_arguments(path: str, node: Target, given: Config | int | None) -> Problems:
+    """Compare a node with its target's signature.
+
+    Args:
+        path: Where the node stands.
+        node: The node.
+        given: Arguments that others supply: by name, the first so many, or None: all that lack.
+    """
+    target = node.get("_target_")
+    if not isinstance(target, str):
+        yield f"{path}: expected _target_: package.module.name, got {target!r}"
         return
     try:
-        parameters = inspect.signature(locate(node["_target_"])).parameters
+        parameters = _parameters(locate(target))
     except (ValueError, TypeError) as error:
         yield f"{path}: {error}"
         return
     names = [n for n, p in parameters.items() if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)]
-    supplied = set(names[:given]) if isinstance(given, int) else set(given)
+    supplied = set(names[:given]) if isinstance(given, int) else set(given or ())
     takes = [n for n in names if n not in supplied]
     if not any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
-        for key in sorted(set(node) - set(names) - {"_target_"}):
-            yield f"{path}: {node['_target_']} does not take {key!r}; it takes {', '.join(takes)}"
-    for name in takes:
+        for key in sorted(set(node) - set(names) - {"_target_", "_partial_"}):
+            yield f"{path}: {target} does not take {key!r}; it takes {', '.join(takes)}"
+    for name in takes if given is not None else ():
         if parameters[name].default is inspect.Parameter.empty and name not in node:
-            yield f"{path}: {node['_target_']} needs {name!r}, got {sorted(set(node) - {'_target_'})}"
+            yield f"{path}: {target} needs {name!r}, got {sorted(set(node) - {'_target_'})}"
+
+
+def _parameters(target: Any) -> dict[str, inspect.Parameter]:
+    """Return a target's parameters; an agent's ``**settings`` are the fields of its ``Settings``."""
+    parameters = dict(inspect.signature(target).parameters)
+    settings = getattr(target, "Settings", None)
+    if settings is None:
+        return parameters
+    kept = {n: p for n, p in parameters.items() if p.kind is not p.VAR_KEYWORD}
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    fields = [*settings.model_fields, "symmetry"]
+    return kept | {n: inspect.Parameter(n, keyword, default=None) for n in fields}
 
 
 def _check_render(config: Config) -> Problems:
-    render, scenarios, seeds = (
-        config["render"],
-        config["env"]["scenarios"],
-        config["trainer"]["num_seeds"],
-    )
+    render, scenarios = config["render"], config["env"]["scenarios"]
     if render["scenario"] is not None and render["scenario"] not in scenarios:
-        yield f"render.scenario: expected one of {', '.join(scenarios)} or null, got {render['scenario']!r}"
-    if render["seed"] >= seeds:
-        yield f"render.seed: expected a number below trainer.num_seeds ({seeds}), got {render['seed']}"
+        choices = ", ".join(scenarios)
+        yield f"render.scenario: expected one of {choices} or null, got {render['scenario']!r}"
     if isinstance(render["episode"], str) and render["episode"] != "rescue":
         yield f"render.episode: expected rescue or a number, got {render['episode']!r}"
 
@@ -208,77 +231,68 @@ def _check_render(config: Config) -> Problems:
 def _check_init_from(config: Config) -> Problems:
     run = (config.get("init_from") or {}).get("run")
     if run is not None and not (Path(run).expanduser() / CONFIG_FILE).is_file():
-        yield f"init_from.run: expected the directory of a training run, got {run!r}: no {CONFIG_FILE} there"
+        yield (
+            "init_from.run: expected the directory of a training run, "
+            f"got {run!r}: no {CONFIG_FILE} there"
+        )
 
 
-def _check_entries(config: Config) -> Problems:
-    """Names and sizes of the observation entries that policy and controller read."""
-    for key, entry in config["env"]["inputs"].items():
-        unknown = sorted(set(entry or {}) - {"loc", "scale"})
-        if unknown:
+def _check_entries(config: Config, built: dict[str, Any]) -> Problems:
+    """Check names and sizes of the observation entries that policy and controller read."""
+    env = config["env"]
+    for key, entry in env["inputs"].items():
+        if unknown := sorted(set(entry or {}) - {"loc", "scale"}):
             yield f"env.inputs.{key}: expected loc and scale, got {', '.join(unknown)}"
             return
-    sizes = entries(config["env"]["base"])
-    yield from _check_symmetries(config["env"], sizes)
+    inputs = {key: Input(**(entry or {})) for key, entry in env["inputs"].items()}
+    sizes = entries(env["base"])
+    yield from _check_symmetries(env, inputs, sizes)
     if sizes is None:
         return
     known = ", ".join(sorted(sizes))
-    for key, entry in config["env"]["inputs"].items():
+    for key, entry in inputs.items():
         if key in sizes:
-            yield from _check_columns(f"env.inputs.{key}", Input(**(entry or {})), sizes[key])
+            yield from _check_columns(f"env.inputs.{key}", replace(entry, shape=(sizes[key],)))
         elif key not in (BASE_ACTION, PREVIOUS_ACTION):
             yield f"env.inputs: the environment does not have {key!r}; it has {known}"
-    controller = locate(config["controller"]["_target_"])(
-        **{key: value for key, value in config["controller"].items() if key != "_target_"}
-    )
-    for key in controller.in_keys:
+    for key in getattr(built.get("controller"), "in_keys", ()):
         if isinstance(key, str) and key not in sizes:
             yield f"controller: reads {key!r}, which the environment does not have; it has {known}"
 
 
-def _check_symmetries(env: Config, sizes: dict[str, int] | None) -> Problems:
-    inputs = {key: Input(**(entry or {})) for key, entry in env["inputs"].items()}
+def _check_symmetries(
+    env: Config, inputs: Mapping[str, Input], sizes: dict[str, int] | None
+) -> Problems:
     mirrors = env.get("symmetries") or {}
     for name, maps in mirrors.items():
         for key in set(maps) & set(sizes or ()):
             if len(maps[key]) != (sizes or {})[key]:
-                yield f"env.symmetries.{name}.{key}: expected {(sizes or {})[key]} numbers, got {maps[key]}"
+                path, count = f"env.symmetries.{name}.{key}", (sizes or {})[key]
+                yield f"{path}: expected {count} numbers, got {maps[key]}"
                 return
+    history = env.get("action_history", 1)
     unbuilt = EnvironmentFactory(
-        None, None, inputs, action_history=env.get("action_history", 1), symmetries=mirrors
-    )  # type: ignore[arg-type]
+        None,  # type: ignore[arg-type]
+        None,  # type: ignore[arg-type]
+        inputs,
+        action_history=history,
+        symmetries=mirrors,
+    )
     try:
         unbuilt.symmetry()
     except ValueError as error:
         yield f"env.{error}"
 
 
-def _check_columns(path: str, entry: Input, size: int) -> Problems:
-    for name in ("loc", "scale"):
+def _check_columns(path: str, entry: Input) -> Problems:
+    for field in ("loc", "scale"):
         try:
-            column = entry.column(path, getattr(entry, name), size)
+            entry.column(field)
         except (ValueError, TypeError) as error:
-            yield f"{path}.{name}: {error}"
-            continue
-        if not column.isfinite().all():
-            yield f"{path}.{name}: expected finite numbers, got {getattr(entry, name)!r}"
-
-
-def locate(path: str) -> Any:
-    """Import ``package.module.name``.
-
-    Raises:
-        ValueError: if there is no such thing.
-
-    """
-    module, _, name = path.rpartition(".")
-    try:
-        return getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f"_target_ {path!r} cannot be imported: {error}") from error
+            yield f"{path}.{error}"
 
 
 def _text(error: Exception) -> str:
-    """An error's first paragraph."""
+    """Return an error's text on one line."""
     text = str(error.args[0]) if isinstance(error, KeyError) and error.args else str(error)
     return " ".join(text.split()) or type(error).__name__

@@ -11,13 +11,12 @@ Layout, below the run's directory::
             manifest.json            TorchRL's manifest
             seal.json                schema version, configuration, position in transitions/, SHA-256 of every file
             components/
-                agent/               parameters, targets, optimisers, update counter
-                experience/          physics, transforms, controller, exploration, their generators, the observation to
-                                     act on; where collection overlaps, the parameters to act with
+                agent/               parameters, targets, optimizers, update counter
+                collection/          physics, transforms, controller, exploration, the observation to act
+                                     on; where collection overlaps, the parameters to act with
                 progress/            counters
                 replay/              position in transitions/
                 rng/                 global generators of Python, NumPy and torch
-                sampler/             generators of replay sampling
         checkpoint-000000004000.torn/  one whose checksums were wrong; nothing reads it
 
 Loading executes no code: tensors are read as weights only, the rest is JSON and raw memory.
@@ -36,6 +35,7 @@ import torch
 from torchrl.checkpoint import Checkpoint, CheckpointAdapter, GlobalRNGState
 
 from .files import check_seal, lock, read_note, seal, sync
+from .plain_state import to_plain
 from .run_files import CHECKPOINTS
 
 log = logging.getLogger(__name__)
@@ -204,7 +204,8 @@ class _WeightsOnly(CheckpointAdapter):
         self, component: Any, path: Path, *, args: tuple[Any, ...], kwargs: Mapping[str, Any]
     ) -> Any:
         path.mkdir(parents=True)
-        torch.save(component.state_dict(), path / self.FILE)
+        torch.save(to_plain(component.state_dict(), path.name), path / self.FILE)
+        torch.load(path / self.FILE, map_location="cpu", weights_only=True)  # or it does not count
 
     def load(
         self,

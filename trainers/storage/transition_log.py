@@ -4,6 +4,7 @@ Layout, below the run's directory::
 
     transitions/
         schema.json                  {"version": 1, "records_per_segment": R, "fields": [[key, dtype, shape], ...]}
+                                     a key is a list of names, so that these may hold any character
         segment_000000.bin           records 0 .. R - 1
         segment_000001.bin           records R .. 2R - 1; the last segment is the one that grows
         tail_000000005000_000.bin    records from 5000 on that a resumed run made anew; see :meth:`TransitionLog.cut`
@@ -29,14 +30,14 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from tensordict import TensorDict, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase
 
 from .files import sync, write_atomically
 
 FOLDER = "transitions"
 SCHEMA = "schema.json"
 CHECKSUM = "crc32"
-VERSION = 1
+VERSION = 2
 SEGMENT_BYTES = 16 * 2**20
 
 Records = NDArray[np.void]
@@ -91,9 +92,9 @@ class TransitionLog:
         records = self._records(first, last)
         damaged = self._damaged(records, first)
         fields = {
-            tuple(key.split("/")): torch.from_numpy(np.ascontiguousarray(records[key]))
-            for key in self._record.names or ()
-            if key != CHECKSUM
+            tuple(json.loads(name)): torch.from_numpy(np.ascontiguousarray(records[name]))
+            for name in self._record.names or ()
+            if name != CHECKSUM
         }
         return TensorDict(fields, [len(records)]), damaged
 
@@ -149,10 +150,9 @@ class TransitionLog:
         return self._dtype
 
     def _create(self, transitions: TensorDictBase) -> None:
-        flat = transitions.flatten_keys("/")
         fields = [
-            [key, str(value[:0].numpy().dtype), list(value.shape[1:])]
-            for key, value in sorted(flat.items())
+            [json.loads(name), str(array.dtype), list(array.shape[1:])]
+            for name, array in sorted(_columns(transitions).items())
         ]
         size = _dtype(fields).itemsize
         schema = {
@@ -272,25 +272,35 @@ def _number(segment: Path) -> int:
     return int(segment.stem.rpartition("_")[2])
 
 
+def _name(key: NestedKey) -> str:
+    """Return a field's name: the key as JSON, whatever characters it has."""
+    return json.dumps([key] if isinstance(key, str) else list(key))
+
+
 def _dtype(fields: list[Any]) -> np.dtype[np.void]:
     columns = [
-        (key, np.dtype(dtype).newbyteorder("<"), tuple(shape)) for key, dtype, shape in fields
+        (_name(tuple(key)), np.dtype(dtype).newbyteorder("<"), tuple(shape))
+        for key, dtype, shape in fields
     ]
     return np.dtype([*columns, (CHECKSUM, "<u4")])
 
 
+def _columns(transitions: TensorDictBase) -> dict[str, NDArray[Any]]:
+    return {_name(k): v.cpu().numpy() for k, v in transitions.items(True, True)}
+
+
 def _pack(transitions: TensorDictBase, record: np.dtype[np.void]) -> Records:
-    flat = transitions.flatten_keys("/")
+    columns = _columns(transitions)
     expected = set(record.names or ()) - {CHECKSUM}
-    if set(flat.keys()) != expected:
-        raise ValueError(f"expected transitions with {sorted(expected)}, got {sorted(flat.keys())}")
-    records = np.zeros(len(flat), record)
-    for key, value in flat.items():
-        array = value.numpy()
-        if array.shape[1:] != record[key].shape or array.dtype != record[key].base:
+    if columns.keys() != expected:
+        raise ValueError(f"transitions: expected {sorted(expected)}, got {sorted(columns)}")
+    records = np.zeros(len(transitions), record)
+    for name, array in columns.items():
+        wanted = record[name]
+        if array.shape[1:] != wanted.shape or array.dtype != wanted.base:
             raise ValueError(
-                f"transition entry {key!r}: expected {record[key].shape} of {record[key].base}, got {array.shape[1:]} "
-                f"of {array.dtype}"
+                f"transition entry {name}: expected {wanted.shape} of {wanted.base}, "
+                f"got {array.shape[1:]} of {array.dtype}"
             )
-        records[key] = array
+        records[name] = array
     return records

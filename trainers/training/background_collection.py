@@ -1,4 +1,4 @@
-"""Experience collected in a process of its own while the updates run."""
+"""Transitions collected in a process of its own while the updates run."""
 
 from __future__ import annotations
 
@@ -27,40 +27,39 @@ from rrl.algorithms.compilation import import_compiler
 
 from ..environment import EnvironmentFactory
 from ..settings import TrainerSettings
-from .collection import Experience, InTurn, Metrics
+from ..storage.plain_state import from_plain, to_plain
+from .collection import Collection, Exploration, InTurn, Metrics
 from .interruption import SIGNALS
-from .profiling import beside
-from .torch_setup import configure_process
+from .profiling import as_background
+from .torch_setup import configure_torch
 
-PATIENCE = 10.0
-"""Seconds that a process gets to close its environment before it is ended."""
+__all__ = ["InBackground"]
+
+CLOSE_SECONDS = 10.0
+"""How long the process gets to close its environment before it is ended."""
 
 
-class Overlapped(Experience):
-    """Collects the next round while this round's updates run, in a process that holds the environment.
+class InBackground(Collection):
+    """Collects the next round while this round's updates run, in a process with the environment.
 
-    Round ``k`` acts with the policy that the updates of round ``k - 2`` left (the first two with the initial one),
-    whether its collection began ahead or not. What a run learns therefore depends neither on timing nor on where it was
-    checkpointed. The process gets the policy's parameters with every request and runs an :class:`InTurn`.
+    Round ``k`` acts with the policy that the updates of round ``k - 2`` left (the first two with
+    the initial one), whether it was collected ahead or not. What a run learns therefore depends
+    neither on timing nor on where it was checkpointed. The process gets the policy's parameters
+    with every request and runs an :class:`InTurn`.
 
     Args:
-        settings, environment, exploration: see :class:`InTurn`; the last two must be such that ``cloudpickle`` can
-            send them.
+        settings: Of the run.
+        environment: Builds the training environment; ``cloudpickle`` must be able to send it.
+        exploration: Makes the exploration module; the same holds for it.
 
     Raises:
-        RuntimeError: if the process dies. What the environment raises is raised here.
-
+        RuntimeError: If the process dies. What the environment raises is raised here.
     """
 
     def __init__(
-        self,
-        settings: TrainerSettings,
-        environment: EnvironmentFactory,
-        exploration: Callable[..., TensorDictModuleBase],
+        self, settings: TrainerSettings, environment: EnvironmentFactory, exploration: Exploration
     ) -> None:
-        context = get_context(
-            "spawn"
-        )  # a fork would inherit the threads' locks without the threads
+        context = get_context("spawn")  # a fork would inherit the threads' locks without threads
         self._connection, far_end = context.Pipe()
         recipe = cloudpickle.dumps((settings, environment, exploration))
         self._process = context.Process(
@@ -70,72 +69,68 @@ class Overlapped(Experience):
         far_end.close()
         atexit.register(
             self.close
-        )  # before multiprocessing's own handler, which would wait for the process
-        self._under_way = False
-        self._before: dict[str, Any] | None = (
-            None  # the state in which the collection that is under way began
-        )
-        self._continues: bool | None = None
-        import_compiler()  # the process takes longer to start, and who collects so mostly compiles too
-        self.sizes = self._receive()
+        )  # before multiprocessing's own, which would wait for the process
+        self._ahead = False
+        self._state_before: dict[str, Any] | None = None  # before the round that is collected ahead
+        self._can_continue: bool | None = None
+        import_compiler()  # meanwhile the worker starts
+        self.interface = self._receive()
 
-    def follow(self, policy: TensorDictModuleBase) -> None:
+    def set_policy(self, policy: TensorDictModuleBase) -> None:
         """Act with copies of ``policy``, one round of updates late."""
         self._policy = policy
         self._acting: Tensor | None = None  # parameters of the policy that collects next
-        self._call("follow", cloudpickle.dumps(policy))
+        self._call("set_policy", cloudpickle.dumps(policy))
 
     def collect(self, env_steps: int) -> tuple[TensorDictBase, Metrics]:
-        """Wait for the collection that was begun ahead, or collect now."""
-        if not self._under_way:
+        """Wait for the round that is collected ahead, or collect now."""
+        if not self._ahead:
             self._request(env_steps)
-        self._under_way = False
+        self._ahead = False
         entries, metrics = self._receive()
-        data = {key: torch.from_numpy(value) for key, value in entries.items()}
-        return TensorDict(data, next(iter(data.values())).shape[:2]).unflatten_keys("/"), metrics
+        data = {key: torch.from_numpy(value) for key, value in entries}
+        return TensorDict(data, next(iter(data.values())).shape[:2]), metrics
 
-    def begin(self, env_steps: int | None, checkpoint: bool) -> None:
-        """Begin the next collection with the policy as it is now, before this round's updates."""
+    def before_updates(self, next_round: int | None, checkpoint_due: bool) -> None:
+        """Begin the next round with the policy as it is now."""
         self._acting = _parameters(self._policy)
-        if env_steps is not None:
-            self._before = self.state_dict() if checkpoint else None
-            self._request(env_steps)
+        if next_round is not None:
+            self._state_before = self.state_dict() if checkpoint_due else None
+            self._request(next_round)
 
     @property
-    def under_way(self) -> bool:
-        """Whether a collection was begun that :meth:`collect` has not returned."""
-        return self._under_way
+    def is_ahead(self) -> bool:
+        """Whether a round is being collected that :meth:`collect` has not returned."""
+        return self._ahead
 
     @property
-    def continues(self) -> bool:
-        """Whether the environment has a state to save."""
-        if self._continues is None:
-            self._continues = self._call("continues")
-        return self._continues
+    def can_continue(self) -> bool:
+        """Whether the environment can go on in the middle of an episode."""
+        if self._can_continue is None:
+            self._can_continue = self._call("can_continue")
+        return self._can_continue
 
-    def start_anew(self, seed: int) -> None:
+    def start_episode(self, seed: int) -> None:
         """Begin the next episode."""
-        self._call("start_anew", seed)
+        self._call("start_episode", seed)
 
     def state_dict(self) -> dict[str, Any]:
-        """The process's state and the parameters that it acts with next; before a collection that is under way."""
-        if self._under_way and self._before is not None:
-            return self._before
+        """Return the process's state, before a round that is ahead, and the acting parameters."""
+        if self._ahead and self._state_before is not None:
+            return self._state_before
         acting = _parameters(self._policy) if self._acting is None else self._acting
         return {"acting": acting, **_unpack(self._call("state"))}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore both."""
+        """Restore :meth:`state_dict`."""
         self._acting = state["acting"]
-        self._call(
-            "restore", _pack({key: value for key, value in state.items() if key != "acting"})
-        )
+        self._call("restore", _pack({k: v for k, v in state.items() if k != "acting"}))
 
     def close(self) -> None:
         """Have the process close its environment, and end it if it does not."""
         atexit.unregister(self.close)
         self._connection.close()  # it reads the end of the requests
-        self._process.join(PATIENCE)
+        self._process.join(CLOSE_SECONDS)
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
@@ -144,11 +139,11 @@ class Overlapped(Experience):
     def _request(self, env_steps: int) -> None:
         parameters = _parameters(self._policy) if self._acting is None else self._acting
         self._send("collect", env_steps, parameters.numpy())
-        self._under_way = True
+        self._ahead = True
 
     def _call(self, method: str, *arguments: Any) -> Any:
-        if self._under_way:
-            raise RuntimeError(f"{method}: a collection is under way")
+        if self._ahead:
+            raise RuntimeError(f"{method}: expected no collection under way, got one")
         self._send(method, *arguments)
         return self._receive()
 
@@ -169,55 +164,47 @@ class Overlapped(Experience):
         raise failure from RuntimeError(f"in the collecting process:\n{text}")
 
     def _death(self) -> RuntimeError:
-        self._process.join(PATIENCE)
+        self._process.join(CLOSE_SECONDS)
         return RuntimeError(
-            f"the collecting process died with exit status {self._process.exitcode}; everything before is on disk: "
-            "the newest checkpoint and all transitions that were stored"
+            f"the collecting process died with exit status {self._process.exitcode}; everything "
+            "before is on disk: the newest checkpoint and all transitions that were stored"
         )
 
 
-class _Collecting:
+class _Worker:
     """The far end: an :class:`InTurn` with a policy of its own."""
 
     def __init__(self, recipe: bytes) -> None:
         settings, environment, exploration = cloudpickle.loads(recipe)
-        configure_process(settings)
-        self.experience = InTurn(settings, environment, exploration)
+        configure_torch(settings, collects_only=True)
+        self.collection = InTurn(settings, environment, exploration)
         self.rng = GlobalRNGState()
 
-    def follow(self, policy: bytes) -> None:
+    def set_policy(self, policy: bytes) -> None:
         self.policy = cloudpickle.loads(policy)
-        self.experience.follow(self.policy)
+        self.collection.set_policy(self.policy)
 
-    def collect(self, env_steps: int, parameters: Any) -> tuple[dict[str, Any], Metrics]:
+    def collect(self, env_steps: int, parameters: Any) -> tuple[list[tuple[Any, Any]], Metrics]:
         _assign(self.policy, torch.from_numpy(parameters))
         start = time.perf_counter()
-        data, metrics = self.experience.collect(env_steps)
-        if self.experience.settings.profile:
-            metrics = beside(metrics, time.perf_counter() - start)
-        return {key: value.numpy() for key, value in data.flatten_keys("/").items()}, metrics
+        data, metrics = self.collection.collect(env_steps)
+        if self.collection.settings.profile:
+            metrics = as_background(metrics, time.perf_counter() - start)
+        return [(key, value.numpy()) for key, value in data.items(True, True)], metrics
 
-    def continues(self) -> bool:
-        return self.experience.continues
+    def can_continue(self) -> bool:
+        return self.collection.can_continue
 
-    def start_anew(self, seed: int) -> None:
-        self.experience.start_anew(seed)
+    def start_episode(self, seed: int) -> None:
+        self.collection.start_episode(seed)
 
     def state(self) -> bytes:
-        policy = {
-            key: value
-            for key, value in self.policy.state_dict().items()
-            if not isinstance(value, Tensor)
-        }
-        return _pack(
-            {"policy": policy, "rng": self.rng.state_dict(), **self.experience.state_dict()}
-        )
+        return _pack({"rng": self.rng.state_dict(), **self.collection.state_dict()})
 
     def restore(self, packed: bytes) -> None:
         state = _unpack(packed)
-        self.policy.load_state_dict(state["policy"], strict=False)
+        self.collection.load_state_dict(state)
         self.rng.load_state_dict(state["rng"])
-        self.experience.load_state_dict(state)
 
 
 def _serve(connection: Connection, recipe: bytes) -> None:
@@ -226,26 +213,31 @@ def _serve(connection: Connection, recipe: bytes) -> None:
         signal.signal(number, signal.SIG_IGN)  # they stop the run; the run ends this process
     threading.Thread(target=_end_with_parent, daemon=True).start()
     warnings.simplefilter("ignore")  # the run itself has said them
-    collecting: _Collecting | None = None
-    try:
+    worker: _Worker | None = None
+
+    def answer(make: Callable[[], Any]) -> bool:
         try:
-            collecting = _Collecting(recipe)
-            connection.send((True, collecting.experience.sizes))
+            connection.send((True, make()))
         except Exception as error:
             connection.send((False, _portable(error)))
-            return
-        while True:
-            method, arguments = connection.recv()
-            try:
-                answer = True, getattr(collecting, method)(*arguments)
-            except Exception as error:
-                answer = False, _portable(error)
-            connection.send(answer)
+            return False
+        return True
+
+    def start() -> Any:
+        nonlocal worker
+        worker = _Worker(recipe)
+        return worker.collection.interface
+
+    try:
+        if answer(start):
+            while True:
+                method, arguments = connection.recv()
+                answer(lambda m=method, a=arguments: getattr(worker, m)(*a))  # type: ignore[misc]
     except (EOFError, OSError):
         pass
     finally:
-        if collecting is not None:
-            collecting.experience.close()
+        if worker is not None:
+            worker.collection.close()
 
 
 def _end_with_parent() -> None:
@@ -256,7 +248,7 @@ def _end_with_parent() -> None:
 
 
 def _portable(error: Exception) -> bytes:
-    """An exception and its traceback's text, as another kind where it cannot be sent."""
+    """Return an exception with its traceback's text, as another kind where it cannot be sent."""
     text = "".join(traceback.format_exception(type(error), error, error.__traceback__))
     try:
         packed = pickle.dumps((error, text))
@@ -271,8 +263,8 @@ def _tensors(policy: torch.nn.Module) -> list[Tensor]:
 
 
 def _parameters(policy: torch.nn.Module) -> Tensor:
-    """All numbers of a policy in one vector, a copy."""
-    return torch.cat([tensor.flatten() for tensor in _tensors(policy)])
+    """Return all numbers of a policy in one vector, a copy on the CPU."""
+    return torch.cat([tensor.flatten().cpu() for tensor in _tensors(policy)])
 
 
 def _assign(policy: torch.nn.Module, vector: Tensor) -> None:
@@ -283,9 +275,9 @@ def _assign(policy: torch.nn.Module, vector: Tensor) -> None:
 
 def _pack(state: Any) -> bytes:
     buffer = io.BytesIO()
-    torch.save(state, buffer)
+    torch.save(to_plain(state), buffer)
     return buffer.getvalue()
 
 
 def _unpack(packed: bytes) -> Any:
-    return torch.load(io.BytesIO(packed), map_location="cpu", weights_only=True)
+    return from_plain(torch.load(io.BytesIO(packed), map_location="cpu", weights_only=True))

@@ -1,4 +1,4 @@
-"""Experience from the training environment: in turn with the updates, or while they run."""
+"""Transitions from the training environment, collected in turn with the updates."""
 
 from __future__ import annotations
 
@@ -7,78 +7,83 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.collectors import Collector
 from torchrl.envs.transforms import InitTracker
 from torchrl.envs.utils import ExplorationType
 
-from rrl.exploration import Ramp
-from rrl.keys import ACTION, OBSERVATION
+from rrl.inputs import Input
+from rrl.keys import ACTION
 from rrl.slot_random import seed_env
 
 from ..environment import EnvironmentFactory
+from ..seeds import Stream, first_seed
 from ..settings import TrainerSettings
-from ..storage.replay_store import STORED
-from .collection_metrics import experience_metrics
+from ..storage.replay_store import stored_keys
+from .collection_metrics import EpisodeReturns, collection_metrics
 from .episode_state import EpisodeInProgress
 from .profiling import measured, watch_collection
 
-Metrics = dict[str, list[float]]
+__all__ = ["Collection", "Exploration", "InTurn", "Interface"]
+
+Metrics = dict[str, float]
+
+Exploration = Callable[..., TensorDictModuleBase | None]
+"""Makes TorchRL's exploration module, or None where the policy explores by itself; called with
+``spec``."""
 
 
 @dataclass(frozen=True)
-class Sizes:
-    """What a learner must know of the environment."""
+class Interface:
+    """What a learner must know of the environment: the policy's inputs, and the action's size."""
 
-    inputs: dict[str, int]
-    action: int
+    inputs: dict[str, Input]
+    action_size: int
 
 
-class Experience(ABC):
+class Collection(ABC):
     """Where the trainer gets its transitions from, round by round.
 
-    A round calls :meth:`collect`, and before its updates :meth:`begin`.
+    A round calls :meth:`collect`, and before its updates :meth:`before_updates`.
     """
 
-    sizes: Sizes
+    interface: Interface
 
     @abstractmethod
-    def follow(self, policy: TensorDictModuleBase) -> None:
+    def set_policy(self, policy: TensorDictModuleBase) -> None:
         """Act with ``policy`` from now on; called once."""
 
     @abstractmethod
     def collect(self, env_steps: int) -> tuple[TensorDictBase, Metrics]:
-        """The transitions ``[S * E, T]`` of the round that starts at ``env_steps``, and what they say."""
+        """Return the transitions ``[E, T]`` of the round that starts at ``env_steps``, and metrics."""
 
-    @abstractmethod
-    def begin(self, env_steps: int | None, checkpoint: bool) -> None:
-        """The updates of this round begin.
+    def before_updates(self, next_round: int | None, checkpoint_due: bool) -> None:  # noqa: B027
+        """Prepare for the updates of this round, during which the next may be collected.
 
         Args:
-            env_steps: at which the next round starts; None where nothing may be under way after this round, because no
-                other follows or it does not collect.
-            checkpoint: whether :meth:`state_dict` is wanted after this round.
-
+            next_round: At which step the next round starts; None where none may begin yet.
+            checkpoint_due: Whether :meth:`state_dict` is wanted after this round.
         """
 
     @property
-    @abstractmethod
-    def under_way(self) -> bool:
-        """Whether a collection was begun that :meth:`collect` has not returned."""
+    def is_ahead(self) -> bool:
+        """Whether a round is being collected that :meth:`collect` has not returned."""
+        return False
 
     @property
     @abstractmethod
-    def continues(self) -> bool:
-        """Whether the environment can go on in the middle of an episode; see :class:`EpisodeInProgress`."""
+    def can_continue(self) -> bool:
+        """Whether the environment can go on in the middle of an episode."""
 
     @abstractmethod
-    def start_anew(self, seed: int) -> None:
+    def start_episode(self, seed: int) -> None:
         """Begin the next episode; what is random about it comes from ``seed``."""
 
     @abstractmethod
     def state_dict(self) -> dict[str, Any]:
-        """Everything that a checkpoint after this round needs."""
+        """Return everything that a checkpoint after this round needs."""
 
     @abstractmethod
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
@@ -89,44 +94,38 @@ class Experience(ABC):
         """Close the environment."""
 
 
-class InTurn(Experience):
+class InTurn(Collection):
     """Collects in the calling process, with the policy as the last update left it.
 
     Args:
-        settings: of the run.
-        environment: builds the training environment.
-        exploration: makes the exploration module; called with ``spec``, ``num_slots`` and ``seed``.
-
+        settings: Of the run.
+        environment: Builds the training environment.
+        exploration: Makes the exploration module.
     """
 
     def __init__(
-        self,
-        settings: TrainerSettings,
-        environment: EnvironmentFactory,
-        exploration: Callable[..., TensorDictModuleBase],
+        self, settings: TrainerSettings, environment: EnvironmentFactory, exploration: Exploration
     ) -> None:
         self.settings = settings
-        self.num_envs = settings.num_seeds * settings.envs_per_seed
-        first_seed = settings.seed * settings.envs_per_seed
-        self.env = environment.make(self.num_envs)
-        seed_env(self.env, first_seed)
+        self.env = environment.make(settings.num_envs)
+        seed_env(self.env, first_seed(Stream.TRAINING, settings.seed))
         spec = self.env.full_action_spec[ACTION]
-        self.sizes = Sizes(
-            {OBSERVATION: self.env.observation_spec[OBSERVATION].shape[-1]}, spec.shape[-1]
-        )
-        self.exploration = exploration(spec=spec, num_slots=self.num_envs, seed=first_seed)
-        if "is_init" in self.exploration.in_keys:
+        self.interface = Interface(environment.read_inputs(self.env), spec.shape[-1])
+        self.exploration = exploration(spec=spec)
+        if hasattr(self.exploration, "is_init_key"):  # a process that starts anew with an episode
             self.env.append_transform(InitTracker())
-        self.ramp = Ramp()
-        self._decayed = 0  # environment steps that the exploration module knows of
+        self._returns = EpisodeReturns(settings.num_envs)
+        self._annealed = 0  # environment steps that the exploration module knows of
 
-    def follow(self, policy: TensorDictModuleBase) -> None:
-        """Act with ``policy``, exploration noise and the residual's share."""
-        self.policy = policy
+    def set_policy(self, policy: TensorDictModuleBase) -> None:
+        """Act with ``policy`` and exploration noise."""
+        modules = {"policy": policy}
+        if self.exploration is not None:
+            modules["exploration"] = self.exploration
         self.collector = Collector(
             self.env,
-            TensorDictSequential(policy, self.exploration, self.ramp),
-            frames_per_batch=self.num_envs * self.settings.steps_per_collection,
+            TensorDictSequential(*modules.values()),
+            frames_per_batch=self.settings.steps_per_round,
             device=self.env.device,  # known to be the policy's too, or every step is copied for it
             track_traj_ids=False,
             use_buffers=False,
@@ -135,65 +134,57 @@ class InTurn(Experience):
             exploration_type=ExplorationType.RANDOM,
         )
         self.episode = EpisodeInProgress(self.env, self.collector)
-        modules = {"policy": policy, "exploration": self.exploration}
         self.stopwatch = watch_collection(self.env, modules) if self.settings.profile else None
 
     def rollout(self, env_steps: int) -> TensorDictBase:
-        """Everything that the environment wrote in the round that starts at ``env_steps``, ``[S * E, T]``."""
+        """Return all that the environment wrote in the round that starts at ``env_steps``, [E, T]."""
         explores = self.settings.warmup_exploration or env_steps >= self.settings.warmup_steps
-        self.collector.exploration_type = (
-            ExplorationType.RANDOM if explores else ExplorationType.DETERMINISTIC
-        )
-        self.ramp.share = self.settings.residual_share(env_steps)
-        self._decay(env_steps)  # rounds that were taken from the log
+        random, fixed = ExplorationType.RANDOM, ExplorationType.DETERMINISTIC
+        self.collector.exploration_type = random if explores else fixed
+        self._anneal(env_steps)  # rounds that were taken from the log
         data = self.collector.rollout()
-        self._decay(env_steps + self.settings.steps_per_round)
-        return data
+        self._anneal(env_steps + self.settings.steps_per_round)
+        return data.reshape(self.settings.num_envs, -1)
 
-    def _decay(self, env_steps: int) -> None:
-        if hasattr(
-            self.exploration, "step"
-        ):  # TorchRL's name for the decay of an exploration module
-            self.exploration.step(env_steps - self._decayed)
-        self._decayed = env_steps
+    def _anneal(self, env_steps: int) -> None:
+        if hasattr(self.exploration, "step"):
+            self.exploration.step(env_steps - self._annealed)
+        self._annealed = env_steps
 
     def collect(self, env_steps: int) -> tuple[TensorDictBase, Metrics]:
         """Collect now."""
-        data, seeds = self.rollout(env_steps), self.settings.num_seeds
-        return data.select(*STORED), experience_metrics(data, seeds, self.env) | measured(
-            self.stopwatch, seeds
-        )
-
-    def begin(self, env_steps: int | None, checkpoint: bool) -> None:
-        """Nothing to do ahead."""
+        with torch.no_grad():
+            data = self.rollout(env_steps)
+            values = collection_metrics(data, self.env) | self._returns.metrics(data)
+        return data.select(*stored_keys(self.interface.inputs)), values | measured(self.stopwatch)
 
     @property
-    def under_way(self) -> bool:
-        """Never."""
-        return False
+    def can_continue(self) -> bool:
+        """Whether the environment can go on in the middle of an episode."""
+        return self.episode.can_continue
 
-    @property
-    def continues(self) -> bool:
-        """Whether the bare environment has a state to save."""
-        return self.episode.continues
-
-    def start_anew(self, seed: int) -> None:
+    def start_episode(self, seed: int) -> None:
         """Begin the next episode."""
         self.episode.start_anew(seed)
+        self._returns.reset()
 
     def state_dict(self) -> dict[str, Any]:
-        """The episode in progress and the exploration's state."""
+        """Return the state of episode, exploration and running returns."""
+        exploration = {} if self.exploration is None else self.exploration.state_dict()
         return {
             "episode": self.episode.state_dict(),
-            "exploration": self.exploration.state_dict(),
-            "decayed": self._decayed,
+            "exploration": dict(exploration),
+            "annealed": self._annealed,
+            "returns": self._returns.running,
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore both."""
+        """Restore :meth:`state_dict`."""
         self.episode.load_state_dict(state["episode"])
-        self.exploration.load_state_dict(state["exploration"])
-        self._decayed = int(state["decayed"])
+        if self.exploration is not None:
+            self.exploration.load_state_dict(state["exploration"])
+        self._annealed = int(state["annealed"])
+        self._returns.running = state["returns"]
 
     def close(self) -> None:
         """Shut the collector down, and with it the environment."""

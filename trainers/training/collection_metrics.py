@@ -1,4 +1,4 @@
-"""What one collection says about behaviour: reward, success, and how controller and residual share the work."""
+"""What a collection tells about behavior: reward, success, and how controller and residual share."""
 
 from __future__ import annotations
 
@@ -12,35 +12,61 @@ from rrl.transforms import ResidualAction
 
 from ..loggers import metrics
 
+__all__ = ["EpisodeReturns", "collection_metrics"]
 
-def experience_metrics(
-    data: TensorDictBase, num_seeds: int, env: TransformedEnv
-) -> dict[str, list[float]]:
-    """Metrics of collected data ``[S * E, T]``, one value per seed.
 
-    ``train/reward`` and ``train/reward_terms/*`` are means over steps; ``train/success`` is the share of the episodes
-    that ended in this collection, absent if none did; ``train/diverged`` counts the episodes that physics failed in.
+class EpisodeReturns:
+    """Undiscounted returns of the exploring policy's episodes, which may span collections.
+
+    Attributes:
+        running: Sum of rewards of each episode in progress, ``[E]``.
     """
-    data = data.reshape(num_seeds, -1)
+
+    def __init__(self, num_envs: int) -> None:
+        self.running = torch.zeros(num_envs, dtype=torch.float64)
+
+    def reset(self) -> None:
+        """Begin new episodes."""
+        self.running = torch.zeros_like(self.running)
+
+    def metrics(self, data: TensorDictBase) -> dict[str, float]:
+        """Return ``train/return``, the mean over episodes that end in ``data`` [E, T], if any do."""
+        rewards = data["next", "reward"].reshape(*data.shape, -1).double().sum(-1)
+        done = data["next", "done"].reshape(*data.shape, -1).any(-1)
+        ended: list[Tensor] = []
+        for reward, over in zip(rewards.unbind(1), done.unbind(1), strict=True):
+            self.running = self.running + reward
+            ended.append(self.running[over])
+            self.running = torch.where(over, 0.0, self.running)
+        returns = torch.cat(ended)
+        name = metrics.name(metrics.TRAIN, "return")
+        return {name: float(returns.mean())} if len(returns) else {}
+
+
+def collection_metrics(data: TensorDictBase, env: TransformedEnv) -> dict[str, float]:
+    """Return metrics of collected data ``[E, T]``.
+
+    ``train/reward`` and ``train/reward_terms/*`` are means over steps; ``train/success`` is the
+    share of the episodes that ended in this collection, absent if none did; ``train/diverged``
+    counts the episodes that physics failed in.
+    """
     following = data["next"]
     values = {metrics.name(metrics.TRAIN, "reward"): _mean(following["reward"])}
     terms = following.get(REWARD_TERMS, None)
     for term, value in () if terms is None else terms.items():
         values[metrics.name(metrics.TRAIN, REWARD_TERMS, term)] = _mean(value)
-    ended = following["done"].flatten(1)
-    if SUCCESS in following and ended.any(-1).all():
-        solved = (following[SUCCESS].flatten(1) & ended).sum(-1) / ended.sum(-1)
-        values[metrics.name(metrics.TRAIN, "success")] = solved.tolist()
+    ended = following["done"].flatten()
+    if SUCCESS in following and ended.any():
+        solved = following[SUCCESS].flatten().bool() & ended
+        values[metrics.name(metrics.TRAIN, "success")] = float(solved.sum() / ended.sum())
     if DIVERGED in following:
-        values[metrics.name(metrics.TRAIN, DIVERGED)] = (
-            following[DIVERGED].flatten(1).sum(-1).tolist()
-        )
+        values[metrics.name(metrics.TRAIN, DIVERGED)] = float(following[DIVERGED].sum())
     for limit, changed in following.get(SAFETY, {}).items():
         values[metrics.name(metrics.SAFETY, limit)] = _mean(changed)
     return values | _shares(data, env)
 
 
-def _shares(data: TensorDictBase, env: TransformedEnv) -> dict[str, list[float]]:
+def _shares(data: TensorDictBase, env: TransformedEnv) -> dict[str, float]:
     residual_action = next(t for t in env.transform if isinstance(t, ResidualAction))
     limits = residual_action.limits()
     low, high, half_range = (
@@ -48,20 +74,16 @@ def _shares(data: TensorDictBase, env: TransformedEnv) -> dict[str, list[float]]
     )
     residual = residual_action.scale * half_range * data[ACTION]
     base = data[BASE_ACTION]
-    demand = base + residual
-    clipped = (demand < low) | (demand > high)
-    size, base_size = residual.abs().mean((-1, -2)), base.abs().mean((-1, -2))
+    clipped = (base + residual < low) | (base + residual > high)
+    size, base_size = residual.abs().mean(), base.abs().mean()
     return {
-        metrics.name(metrics.ACTION, "residual_rms"): residual.square()
-        .mean((-1, -2))
-        .sqrt()
-        .tolist(),
-        metrics.name(metrics.ACTION, "residual_share"): (
+        metrics.name(metrics.ACTION, "residual_rms"): float(residual.square().mean().sqrt()),
+        metrics.name(metrics.ACTION, "residual_share"): float(
             size / (size + base_size).clamp_min(1e-9)
-        ).tolist(),
+        ),
         metrics.name(metrics.ACTION, "clip_fraction"): _mean(clipped),
     }
 
 
-def _mean(x: Tensor) -> list[float]:
-    return x.to(torch.float32).flatten(1).mean(-1).tolist()
+def _mean(x: Tensor) -> float:
+    return float(x.to(torch.float32).mean())

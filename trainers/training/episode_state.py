@@ -1,77 +1,113 @@
-"""Parts of a run that need help to give and take back their state."""
+"""The training environment in the middle of an episode, saved and restored."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from typing import Any
 
-from tensordict import TensorDictBase
+import torch
+from tensordict import TensorDict, TensorDictBase
 from torchrl.collectors import Collector
-from torchrl.envs import TransformedEnv
+from torchrl.envs import EnvBase
 
+from rrl.keys import ACTION
 from rrl.slot_random import seed_env
 
+from ..environment import ResumableEnv
+from ..storage.plain_state import from_entries, to_entries
 
-class Holder:
-    """Gives a plain dictionary the ``state_dict`` interface of a checkpoint's component."""
+__all__ = ["EpisodeInProgress", "goes_on_from_its_state"]
 
-    def __init__(self, state: dict[str, Any]) -> None:
-        self.state = state
-
-    def state_dict(self) -> dict[str, Any]:
-        """The dictionary."""
-        return self.state
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Replace the dictionary's content."""
-        self.state.clear()
-        self.state.update(state)
+log = logging.getLogger(__name__)
 
 
 class EpisodeInProgress:
-    """The environment in the middle of an episode: the bare environment, its transforms, what the policy sees next.
+    """The bare environment, its transforms, and what the policy sees next.
 
-    A transformed environment's ``state_dict`` covers its transforms only, and TorchRL's collector saves neither the
-    environment's state nor the observation it is about to act on. An environment whose ``state_dict`` is empty
-    (hardware, Gymnasium) cannot go on where it was; :attr:`continues` is then false and :meth:`start_anew` begins the
-    next episode.
+    A transformed environment's ``state_dict`` covers its transforms only, and TorchRL's collector
+    saves neither the environment's state nor the observation that it is about to act on. Whether
+    the environment can go on from its state is tried once, before anything is collected. One that
+    cannot (hardware, Gymnasium) begins a new episode with :meth:`start_anew`.
     """
 
-    def __init__(self, env: TransformedEnv, collector: Collector) -> None:
+    def __init__(self, env: ResumableEnv, collector: Collector) -> None:
         self.env, self.collector = env, collector
+        self._can_continue: bool | None = None
 
     @property
-    def continues(self) -> bool:
-        """Whether the bare environment has a state to save."""
-        return _has_content(self.env.base_env.state_dict())
+    def can_continue(self) -> bool:
+        """Whether the bare environment goes on from a restored state as if nothing had happened."""
+        if self._can_continue is None:
+            tried, self._can_continue = goes_on_from_its_state(self.env.base_env)
+            if tried and not self._can_continue:
+                self.collector.reset()  # the trial has moved the environment
+        return self._can_continue
 
     def state_dict(self) -> dict[str, Any]:
-        """States of the base environment and the transforms, and the collector's current entries by flattened key."""
-        return {
-            "base": dict(self.env.base_env.state_dict()),
+        """Return the states of environment and transforms, and what the policy sees next."""
+        state: dict[str, Any] = {
+            "can_continue": self.can_continue,
             "transforms": dict(self.env.transform.state_dict()),
-            "carrier": {str(key): value for key, value in self._carrier.flatten_keys("/").items()},
         }
+        if self.can_continue:
+            state["base"] = dict(self.env.base_env.state_dict())
+            state["next_input"] = to_entries(self.env.next_input)
+        return state
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore all three, or the transforms alone where the environment has no state."""
-        self.env.transform.load_state_dict(state["transforms"])
-        if self.continues:
+        """Restore :meth:`state_dict`; the transforms alone where the environment cannot go on."""
+        self._can_continue = bool(state["can_continue"])
+        if self._can_continue:
+            batch_size = self.env.batch_size
+            self.env.begin_with(TensorDict(from_entries(state["next_input"]), batch_size))
+            self.collector.reset()
             self.env.base_env.load_state_dict(state["base"])
-            for key, value in state["carrier"].items():
-                self._carrier.set(tuple(key.split("/")), value)
+        self.env.transform.load_state_dict(state["transforms"])
 
     def start_anew(self, seed: int) -> None:
         """Begin the next episode; what is random about it comes from ``seed``."""
         seed_env(self.env.base_env, seed)
         self.collector.reset()
 
-    @property
-    def _carrier(self) -> TensorDictBase:
-        return self.collector._carrier
+
+def goes_on_from_its_state(env: EnvBase) -> tuple[bool, bool]:
+    """Return whether it was tried, and whether an environment put back makes the same step again.
+
+    Nothing is tried on an environment that has no episode's state to give: one whose ``state_dict``
+    is empty, or holds nothing but its modules' parameters and buffers.
+    """
+    state = dict(env.state_dict())
+    modules = {name for name, _ in env.named_parameters()} | {n for n, _ in env.named_buffers()}
+    if not _has_content({key: value for key, value in state.items() if key not in modules}):
+        return False, False
+    action = env.full_action_spec[ACTION].zero()
+
+    def step() -> TensorDictBase:
+        root = TensorDict({ACTION: action}, env.batch_size)
+        return env.step(root)["next"].clone()
+
+    try:
+        first = step()
+        env.load_state_dict(state)
+        second = step()
+        env.load_state_dict(state)
+    except Exception as error:  # no way back, whatever the reason
+        log.warning(
+            "the environment's state cannot be restored (%s: %s); a resumed run begins a new episode",
+            type(error).__name__,
+            error,
+        )
+        return True, False
+    same = [
+        torch.equal(value, second[key])
+        for key, value in first.items(True, True)
+        if isinstance(value, torch.Tensor)
+    ]
+    return True, all(same)
 
 
 def _has_content(state: Any) -> bool:
-    return (
-        any(map(_has_content, state.values())) if isinstance(state, Mapping) else state is not None
-    )
+    if isinstance(state, Mapping):
+        return any(map(_has_content, state.values()))
+    return state is not None

@@ -15,7 +15,7 @@ from ..loggers.timing import Stopwatch
 NESTED = {"sample": "update", "compile": "update"}
 """Sections that another one contains."""
 
-BESIDE = "beside"
+BACKGROUND = "background"
 """The section of what a second process does meanwhile; no part of the sum."""
 
 
@@ -53,11 +53,9 @@ class Profile:
         self.env_steps = 0
 
     def add(self, values: metrics.Values, env_steps: int) -> None:
-        """Take the metrics of a round of ``env_steps`` steps of one seed; rounds without an update are left out."""
+        """Take the metrics of a round of ``env_steps`` steps; rounds without an update are left out."""
         prefix = f"{metrics.TIME}/"
-        times = {
-            key.removeprefix(prefix): v[0] for key, v in values.items() if key.startswith(prefix)
-        }
+        times = {key.removeprefix(prefix): v for key, v in values.items() if key.startswith(prefix)}
         if "update" not in times:
             return
         self.env_steps += env_steps
@@ -65,7 +63,7 @@ class Profile:
             self.seconds[section] = self.seconds.get(section, 0.0) + seconds
 
     def rows(self) -> list[tuple[str, float]]:
-        """Sections and their milliseconds an environment step (of all seeds), the parts of one below it."""
+        """Sections and their milliseconds an environment step, the parts of one below it."""
         per_step = {
             section: 1e3 * s / max(1, self.env_steps) for section, s in self.seconds.items()
         }
@@ -74,7 +72,7 @@ class Profile:
                 per_step[whole] -= per_step[part]
         tops = [section for section in per_step if "/" not in section]
         rows = []
-        for top in sorted(tops, key=lambda s: (s == BESIDE, -per_step[s])):
+        for top in sorted(tops, key=lambda s: (s == BACKGROUND, -per_step[s])):
             parts = sorted(
                 (s for s in per_step if s.startswith(f"{top}/")), key=lambda s: -per_step[s]
             )
@@ -87,7 +85,7 @@ class Profile:
     def table(self) -> Table:
         """:meth:`rows` for the terminal, with each section's share of the sum; below it what a second process did."""
         rows = self.rows()
-        end = next((i for i, (name, _) in enumerate(rows) if name == BESIDE), len(rows))
+        end = next((i for i, (name, _) in enumerate(rows) if name == BACKGROUND), len(rows))
         total = sum(value for name, value in rows[:end] if not name.startswith(" "))
         title = f"where the time went ({self.env_steps} steps with updates)"
         table = Table("section", "ms a step", "share", title=title)
@@ -96,20 +94,17 @@ class Profile:
         return table
 
 
-def measured(stopwatch: Stopwatch | None, num_seeds: int) -> dict[str, list[float]]:
-    """What a stopwatch has measured since the last time, as metrics."""
+def measured(stopwatch: Stopwatch | None) -> dict[str, float]:
+    """Return what a stopwatch has measured since the last time, as metrics."""
     times = {} if stopwatch is None else stopwatch.lap()
-    return {
-        metrics.name(metrics.TIME, section): [seconds] * num_seeds
-        for section, seconds in times.items()
-    }
+    return {metrics.name(metrics.TIME, section): seconds for section, seconds in times.items()}
 
 
-def beside(values: Mapping[str, list[float]], seconds: float) -> dict[str, list[float]]:
-    """The metrics of a collection that took ``seconds`` in a second process: its parts under another name."""
-    collect, there = metrics.name(metrics.TIME, "collect"), metrics.name(metrics.TIME, BESIDE)
+def as_background(values: Mapping[str, float], seconds: float) -> dict[str, float]:
+    """Return the metrics of a collection that took ``seconds`` in a second process, renamed."""
+    collect, there = metrics.name(metrics.TIME, "collect"), metrics.name(metrics.TIME, BACKGROUND)
     renamed = {
         there + key.removeprefix(collect) if key.startswith(collect) else key: value
         for key, value in values.items()
     }
-    return renamed | {there: [seconds] * len(next(iter(values.values())))}
+    return renamed | {there: seconds}

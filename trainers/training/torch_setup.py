@@ -1,4 +1,4 @@
-"""Settings that hold for the whole process."""
+"""Torch's settings for the whole process: generators, threads, precision."""
 
 from __future__ import annotations
 
@@ -12,32 +12,44 @@ from rrl.threads import available_threads
 
 from ..settings import TrainerSettings
 
+__all__ = ["configure_torch"]
+
 MOST_THREADS = 2
-"""Torch threads unless told otherwise: what was measured; products of small networks cannot use many."""
+"""Torch threads unless told otherwise, as measured; products of small networks cannot use many."""
+COLLECTOR_OFFSET = 2**30
+"""Apart from every seed that a user can name."""
 
 
-def configure_process(settings: TrainerSettings) -> None:
-    """Threads, precision, and the global generators, for whatever in an environment draws from them."""
-    random.seed(settings.seed)
-    np.random.seed(settings.seed)  # noqa: NPY002
-    torch.manual_seed(settings.seed)
-    torch.set_num_threads(
-        settings.threads or (1 if settings.overlap else min(MOST_THREADS, available_threads()))
-    )
+def configure_torch(settings: TrainerSettings, *, collects_only: bool = False) -> None:
+    """Set threads and precision, and seed the generators of Python, NumPy and torch.
+
+    Args:
+        settings: Of the run.
+        collects_only: Whether this process only collects, and draws other numbers than the learner.
+    """
+    seed = settings.seed + COLLECTOR_OFFSET * collects_only
+    random.seed(seed)
+    np.random.seed(seed)  # noqa: NPY002 - whatever in an environment draws from it
+    torch.manual_seed(seed)
+    threads = 1 if settings.overlap else min(MOST_THREADS, available_threads())
+    torch.set_num_threads(settings.threads or threads)
     torch.set_float32_matmul_precision(_precision(settings))
     if settings.flush_denormals and not torch.set_flush_denormal(True):
-        warnings.warn(
-            "this processor cannot flush denormal numbers; going on without", stacklevel=2
-        )
+        warnings.warn("flush_denormals: this processor cannot; going on without", stacklevel=2)
 
 
 def _precision(settings: TrainerSettings) -> str:
-    """What was asked for; float32 where bfloat16 products would be the slower ones."""
-    if settings.matmul_precision != "medium" or torch.cpu._is_amx_tile_supported():
+    """Return what was asked for; float32 where bfloat16 products would be the slower ones."""
+    if settings.matmul_precision != "medium" or _has_amx():
         return settings.matmul_precision
     warnings.warn(
-        "trainer.matmul_precision=medium: this processor has no AMX, without which bfloat16 products are slower than "
-        "float32 ones; going on with highest",
+        "matmul_precision: this processor has no AMX, without which bfloat16 products are slower "
+        "than float32 ones; going on with highest",
         stacklevel=3,
     )
     return "highest"
+
+
+def _has_amx() -> bool:
+    probe = getattr(torch.cpu, "_is_amx_tile_supported", None)  # private, may go away
+    return bool(probe and probe())

@@ -4,62 +4,59 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tensordict.nn import TensorDictModuleBase
-
-from rrl.algorithms import TD3
-from rrl.exploration import GaussianExploration
-from rrl.replay import StackedSampler
+from rrl.algorithms import Agent
 
 from ..environment import EnvironmentFactory
 from ..evaluation.episodes import Comparison
 from ..evaluation.evaluator import Evaluator
 from ..loggers import CSVLogger, Guarded, MetricsLogger, metrics
 from ..loggers.timing import Stopwatch
+from ..seeds import Stream, first_seed
 from ..settings import TrainerSettings
 from ..storage.checkpoints import Checkpoints, newest_whole
 from ..storage.finite import require_finite
 from ..storage.replay_store import ReplayStore
 from ..storage.same_run import require_same_run
-from .background_collection import Overlapped
-from .collection import Experience, InTurn, Metrics
-from .episode_state import Holder
+from .background_collection import InBackground
+from .collection import Collection, Exploration, InTurn, Metrics
 from .interruption import Interruption
+from .learner import default_agent, default_exploration
 from .profiling import Profile, measured
 from .progress import Progress
-from .torch_setup import configure_process
+from .torch_setup import configure_torch
+
+__all__ = ["Trainer"]
 
 log = logging.getLogger(__name__)
 
-DEFAULT_EXPLORATION = partial(GaussianExploration, sigma=0.2)
-
 
 class Trainer:
-    """Trains ``S`` independent residual policies side by side. In a ``with`` statement it closes itself.
+    """Trains one residual policy. In a ``with`` statement it closes itself.
+
+    What is left out is what ``rrl train`` uses.
 
     Args:
-        settings: how long, how often, how many.
-        environment: builds the training environment.
-        agent: makes the learner; called with ``input_sizes``, ``action_size``, ``num_seeds`` and ``seed``.
-        exploration: makes the exploration module; called with ``spec``, ``num_slots`` and ``seed``.
-        run_dir: where the run writes.
-        scenarios: environments that the policies are evaluated on, by name; the first is the one followed during
-            training. None: the training environment, as ``training``.
-        loggers: sinks for metrics. None: ``metrics.csv``.
-        config: what the loggers record as the run's configuration.
-        progress: shows how far the run is.
-
+        settings: How long, how often, how many.
+        environment: Builds the training environment.
+        agent: Makes the learner; called with ``inputs`` and ``action_size``.
+        exploration: Makes TorchRL's exploration module; called with ``spec``.
+        run_dir: Where the run writes.
+        scenarios: Environments that the policy is evaluated on, by name; the first is the one
+            followed during training. None: the training environment, as ``training``.
+        loggers: Sinks for metrics. None: ``metrics.csv``.
+        config: What the loggers record as the run's configuration.
+        progress: Shows how far the run is.
     """
 
     def __init__(
         self,
-        settings: TrainerSettings,
+        settings: TrainerSettings | None,
         environment: EnvironmentFactory,
-        agent: Callable[..., Any] = TD3,
-        exploration: Callable[..., TensorDictModuleBase] = DEFAULT_EXPLORATION,
+        agent: Callable[..., Agent] | None = None,
+        exploration: Exploration | None = None,
         run_dir: Path | str = "outputs/run",
         *,
         scenarios: Mapping[str, EnvironmentFactory] | None = None,
@@ -67,63 +64,60 @@ class Trainer:
         config: Mapping[str, Any] | None = None,
         progress: Progress | None = None,
     ) -> None:
+        settings = settings or TrainerSettings()
         self.settings, self.run_dir = settings, Path(run_dir)
-        self.loggers = [
-            Guarded(logger) for logger in ([CSVLogger()] if loggers is None else loggers)
-        ]
+        self.loggers = [Guarded(g) for g in ([CSVLogger()] if loggers is None else loggers)]
         self.config = dict(config or {"trainer": settings.model_dump()})
         self.interruption = Interruption()
         self.progress = progress or Progress.silent()
         self.stopwatch, self.profile = Stopwatch(), Profile()
-        configure_process(settings)
+        configure_torch(settings)
         self.run_dir.mkdir(parents=True, exist_ok=True)
 
-        collect = Overlapped if settings.overlap else InTurn
-        self.experience: Experience = collect(settings, environment, exploration)
-        self.agent = agent(
-            input_sizes=self.experience.sizes.inputs,
-            action_size=self.experience.sizes.action,
-            num_seeds=settings.num_seeds,
-            seed=settings.seed,
+        collect = InBackground if settings.overlap else InTurn
+        explore = exploration or default_exploration()
+        self.collection: Collection = collect(settings, environment, explore)
+        interface = self.collection.interface
+        make_agent = agent or default_agent(environment)
+        self.agent = make_agent(inputs=interface.inputs, action_size=interface.action_size)
+        self.agent.to(settings.device)
+        self.collection.set_policy(self.agent.policy)
+        self.store = ReplayStore(
+            self.run_dir,
+            settings.buffer_capacity,
+            settings.batch_size,
+            settings.n_step,
+            self.agent.settings.gamma,
+            settings.device,
         )
-        self.experience.follow(self.agent.policy)
-        self.sampler = StackedSampler(settings.num_seeds, settings.seed, settings.batch_size)
-        returns = (
-            {"n_step": settings.n_step, "gamma": self.agent.gamma} if settings.n_step > 1 else {}
-        )
-        self.store = ReplayStore(self.run_dir, self.sampler, settings.buffer_capacity, **returns)
         self.replay = self.store.replay
         self.evaluator = Evaluator(scenarios or {"training": environment}, settings.evaluation)
-        self.counters: dict[str, int] = {"env_steps": 0}
+        self.counters: dict[str, int] = {"env_steps": 0, "restarts": 0}
         self._resumed = False
-        self.checkpoints = Checkpoints(
-            self.run_dir,
-            settings.checkpoint.keep,
-            {
-                "agent": self.agent,
-                "experience": self.experience,
-                "replay": self.store,
-                "sampler": self.sampler,
-                "progress": Holder(self.counters),
-            },
-        )
+        components = {
+            "agent": self.agent,
+            "collection": self.collection,
+            "replay": self.store,
+            "progress": _Counters(self.counters),
+        }
+        self.checkpoints = Checkpoints(self.run_dir, settings.checkpoint.keep, components)
 
     @property
     def env_steps(self) -> int:
-        """Environment steps of one seed so far."""
+        """Environment steps so far."""
         return self.counters["env_steps"]
 
     def resume(self) -> Path:
         """Continue from the run's newest checkpoint that is whole.
 
-        A simulation goes on in the middle of its episode and makes again what it made after the checkpoint. An
-        environment without a state starts a new episode; :meth:`run` first learns from the transitions that were stored
-        after the checkpoint, as it did before, and goes on from the last of them.
+        A simulation goes on in the middle of its episode and makes again what it made after the
+        checkpoint. An environment that cannot starts a new episode; :meth:`run` first learns from
+        the transitions that were stored after the checkpoint, as it did before, and goes on from
+        the last of them.
 
         Raises:
-            FileNotFoundError: if there is none.
-            ValueError: if none is whole, or the configuration is not the run's own.
-
+            FileNotFoundError: If there is none.
+            ValueError: If none is whole, or the configuration is not the run's own.
         """
         self.checkpoints.claim()
         path, note, torn = newest_whole(
@@ -131,38 +125,39 @@ class Trainer:
         )
         require_same_run(note["config"], self.config)
         self.checkpoints.load(path, torn)
-        if self.experience.continues:
+        if self.collection.can_continue:
             self.store.set_pending_aside()
         else:
-            first_seed = self.settings.seed * self.settings.envs_per_seed
-            self.experience.start_anew(first_seed + self.store.log.count)
-            self.store.keep_whole_rounds(self.settings.transitions_per_round)
+            self.counters["restarts"] += 1
+            seed = first_seed(Stream.TRAINING, self.settings.seed, self.counters["restarts"])
+            self.collection.start_episode(seed)
+            self.store.keep_whole_rounds(self.settings.steps_per_round)
         self._resumed = True
         return path
 
-    def run(self) -> dict[str, list[Comparison]]:
+    def run(self) -> dict[str, Comparison]:
         """Train to ``total_steps``, evaluate every scenario, save.
 
         Returns:
-            For every scenario one comparison with the controller per seed.
+            For every scenario the comparison with the controller.
 
         Raises:
-            Interrupted: if SIGTERM or Ctrl-C asked for it; the run is saved.
-            FileExistsError, BlockingIOError: see :meth:`require_new_or_resumed`.
-            FloatingPointError: if losses or parameters are no longer finite; the checkpoint before stays.
-
+            Interrupted: If a signal asked for it; the run is saved.
+            FileExistsError: See :meth:`require_new_or_resumed`.
+            BlockingIOError: See :meth:`require_new_or_resumed`.
+            FloatingPointError: If losses or parameters are no longer finite; the checkpoint before
+                stays.
         """
         settings = self.settings
         self.require_new_or_resumed()
         for logger in self.loggers:
-            logger.start(self.run_dir, self.config, settings.seeds, self.env_steps)
-        with (
-            self.interruption.listening(),
-            self.progress.training(settings.total_steps, self.env_steps),
-        ):
+            logger.start(self.run_dir, self.config, self.env_steps)
+        progress = self.progress.training(settings.total_steps, self.env_steps)
+        with self.interruption.listening(), progress:
             if self.env_steps == 0:
                 self._save()
-                self._evaluate()
+                if settings.evaluation.every:
+                    self._evaluate()
             while self.env_steps < settings.total_steps:
                 self._stop_if_asked()
                 self._round()
@@ -173,14 +168,13 @@ class Trainer:
         """Claim the run's directory.
 
         Raises:
-            FileExistsError: if it holds a run already and :meth:`resume` was not called.
-            BlockingIOError: if another process is training in it.
-
+            FileExistsError: If it holds a run already and :meth:`resume` was not called.
+            BlockingIOError: If another process is training in it.
         """
         self.checkpoints.claim()
         if not self._resumed and (self.checkpoints.exist() or self.store.log.count):
             raise FileExistsError(
-                f"{self.run_dir} holds a run already: resume it, or choose another directory"
+                f"{self.run_dir}: expected a directory without a run; resume it, or choose another"
             )
 
     def close(self) -> None:
@@ -189,7 +183,7 @@ class Trainer:
             logger.finish()
         self.checkpoints.release()
         self.store.log.close()
-        for close in (self.evaluator.close, self.experience.close):
+        for close in (self.evaluator.close, self.collection.close):
             try:
                 close()
             except Exception as error:
@@ -204,13 +198,12 @@ class Trainer:
     def _round(self) -> None:
         values = self._recover() if self.store.pending else self._collect_and_store()
         self.counters["env_steps"] += self.settings.steps_per_round
-        self.experience.begin(
-            self._next_collection(), checkpoint=self._due(self.settings.checkpoint.every)
-        )
+        checkpoint_due = self._due(self.settings.checkpoint.every)
+        self.collection.before_updates(self._next_round(), checkpoint_due)
         if self.env_steps >= self.settings.warmup_steps:
             with self.stopwatch("update"):
                 values |= self._update()
-        values |= measured(self.stopwatch, self.settings.num_seeds)
+        values |= measured(self.stopwatch)
         self.profile.add(values, self.settings.steps_per_round)
         with self.stopwatch("log"):
             self._log(values)
@@ -218,35 +211,35 @@ class Trainer:
             with self.stopwatch("evaluate"):
                 self._evaluate()
         self.progress.advance(self.settings.steps_per_round)
-        if self._due(self.settings.checkpoint.every):
+        if checkpoint_due:
             with self.stopwatch("checkpoint"):
                 self._save()
 
     def _collect_and_store(self) -> Metrics:
         with self.stopwatch("collect"):
-            transitions, values = self.experience.collect(self.env_steps)
+            transitions, values = self.collection.collect(self.env_steps)
         with self.stopwatch("store"):
             self.store.extend(transitions)
         return values
 
-    def _next_collection(self) -> int | None:
-        """Where the next collection starts, if it may begin now."""
+    def _next_round(self) -> int | None:
+        """Return where the next round starts, if it may be collected now."""
         ends = self.env_steps >= self.settings.total_steps or self.interruption.signal is not None
         return None if ends or self.store.pending > 0 else self.env_steps
 
     def _recover(self) -> Metrics:
-        """A round whose transitions come from the log: they were stored after the checkpoint that was resumed."""
-        self.store.recover(self.settings.transitions_per_round)
+        """Take a round from the log: it was stored after the checkpoint that was resumed."""
+        self.store.recover(self.settings.steps_per_round)
         return {}
 
     def _update(self) -> Metrics:
         with self.stopwatch("sample"):
             batches = self.store.sample(self.settings.updates_per_round)
-        compiled = getattr(self.agent, "compile_seconds", 0.0)
+        compiled = self.agent.compile_seconds
         losses = self.agent.update(batches)
-        self.stopwatch.add("compile", getattr(self.agent, "compile_seconds", 0.0) - compiled)
+        self.stopwatch.add("compile", self.agent.compile_seconds - compiled)
         require_finite(losses, "the update gave")
-        return {metrics.name(metrics.LOSS, k): v.tolist() for k, v in losses.items()}
+        return {metrics.name(metrics.LOSS, key): float(value) for key, value in losses.items()}
 
     def _save(self) -> None:
         if not self.settings.total_steps:
@@ -254,13 +247,12 @@ class Trainer:
         require_finite(dict(self.agent.named_parameters()), "not saved: the agent has")
         for logger in self.loggers:
             logger.flush()
-        self.checkpoints.save(
-            self.env_steps, {"transitions": self.store.mark(), "config": self.config}
-        )
+        note = {"transitions": self.store.mark(), "config": self.config}
+        self.checkpoints.save(self.env_steps, note)
         self.store.log.forget(self.checkpoints.oldest_transition() - self.store.capacity)
 
     def _stop_if_asked(self) -> None:
-        if self.interruption.signal is not None and not self.experience.under_way:
+        if self.interruption.signal is not None and not self.collection.is_ahead:
             self._save()
             self.interruption.check()
 
@@ -268,25 +260,36 @@ class Trainer:
         return bool(every) and self.env_steps % every == 0
 
     def _evaluate(self) -> None:
-        scenario, comparisons = self.evaluator.during_training(self.agent, self.settings.num_seeds)
-        self.progress.show(comparisons, self.env_steps)
-        self._log_evaluation(scenario, comparisons)
+        episodes = self.settings.evaluation.episodes
+        followed = self.evaluator.followed
+        comparison = self.evaluator.compare(self.agent.policy, followed, Stream.FOLLOWING, episodes)
+        self.progress.show(comparison, self.env_steps)
+        self._log(metrics.evaluation(followed, comparison.summary()))
 
-    def _evaluate_all(self) -> dict[str, list[Comparison]]:
+    def _evaluate_all(self) -> dict[str, Comparison]:
         results = {}
+        episodes = self.settings.evaluation.final_episodes
         for scenario in self.progress.track(self.evaluator.scenarios, "evaluating"):
             self._stop_if_asked()
-            episodes = self.settings.evaluation.final_episodes
             results[scenario] = self.evaluator.compare(
-                self.agent, self.settings.num_seeds, scenario, episodes
+                self.agent.policy, scenario, Stream.FINAL, episodes
             )
-            self._log_evaluation(scenario, results[scenario])
+            self._log(metrics.evaluation(f"final/{scenario}", results[scenario].summary()))
         return results
 
-    def _log_evaluation(self, scenario: str, comparisons: list[Comparison]) -> None:
-        rows = [metrics.evaluation(scenario, c.summary()) for c in comparisons]
-        self._log({name: [row[name] for row in rows] for name in rows[0]})
-
-    def _log(self, values: metrics.Values) -> None:
+    def _log(self, values: Mapping[str, float]) -> None:
         for logger in self.loggers:
             logger.log(values, self.env_steps)
+
+
+class _Counters:
+    """Gives a dictionary the interface of a checkpoint's component."""
+
+    def __init__(self, counters: dict[str, int]) -> None:
+        self.counters = counters
+
+    def state_dict(self) -> dict[str, int]:
+        return self.counters
+
+    def load_state_dict(self, state: dict[str, int]) -> None:
+        self.counters.update(state)

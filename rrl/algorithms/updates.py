@@ -1,0 +1,74 @@
+"""Gradient steps one after the other, eager or as one compiled graph."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import torch
+from tensordict import NestedKey, TensorDict, TensorDictBase
+from torch import Tensor, nn
+
+from rrl.algorithms.compilation import CompiledUpdate, compiler_problem
+
+__all__ = ["Step", "Updates"]
+
+Step = Callable[[TensorDictBase], dict[str, Tensor]]
+"""One gradient step of a batch ``[B]``, to scalar metrics."""
+
+
+class Updates:
+    """Takes a sequence of steps, each with a batch of its own.
+
+    Args:
+        module: Owns the tensors that the steps change.
+        compiled: Make one graph of each kind of sequence; eager where that is not possible.
+    """
+
+    def __init__(self, module: nn.Module, compiled: bool) -> None:
+        self._module = module
+        problem = compiler_problem() if compiled else None
+        if problem is not None:
+            warnings.warn(
+                "the update is not compiled and takes two to three times as long: no C++ compiler "
+                f"({problem}); install g++, or set compiled=false to do without",
+                stacklevel=2,
+            )
+        self._graphs: dict[Any, CompiledUpdate] = {}
+        self._compiled = compiled and problem is None
+
+    @property
+    def compile_seconds(self) -> float:
+        """Seconds that compiling has taken so far."""
+        return sum(graph.compile_seconds for graph in self._graphs.values())
+
+    def __call__(
+        self, steps: Sequence[Step], keys: tuple[NestedKey, ...], columns: Sequence[Tensor]
+    ) -> dict[str, Tensor]:
+        """Take ``n`` steps, each with its row of the entries ``columns`` [n, B, ...].
+
+        Returns:
+            Metrics, at most ``[n]`` each.
+        """
+        update = partial(_take, steps, keys)
+        if not self._compiled:
+            return update(*columns)
+        names = tuple(step.__name__ for step in steps)
+        kind = names, keys, tuple(column.shape for column in columns)
+        graph = self._graphs.setdefault(kind, CompiledUpdate(update, self._module))
+        values = graph(*columns)
+        self._compiled = not graph.failed  # one warning, not one a graph
+        return values
+
+
+def _take(
+    steps: Sequence[Step], keys: tuple[NestedKey, ...], *columns: Tensor
+) -> dict[str, Tensor]:
+    history: dict[str, list[Tensor]] = {}
+    for step, *row in zip(steps, *columns, strict=True):
+        batch = TensorDict(dict(zip(keys, row, strict=True)), row[0].shape[:1])
+        for name, value in step(batch).items():
+            history.setdefault(name, []).append(value)
+    return {name: torch.stack(values) for name, values in history.items()}

@@ -1,0 +1,56 @@
+"""The learner that ``rrl train`` uses, for trainers that are given none."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+from rrl.algorithms import Agent
+
+from ..environment import EnvironmentFactory
+from ..settings import default_config
+
+__all__ = ["build", "default_agent", "default_exploration", "locate"]
+
+
+def locate(path: Any) -> Any:
+    """Import ``package.module.name``.
+
+    Raises:
+        ValueError: If there is no such thing.
+    """
+    module, _, name = str(path).rpartition(".")
+    try:
+        return getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(
+            f"_target_: expected package.module.name, got {path!r}: {error}"
+        ) from error
+
+
+def build(node: Mapping[str, Any]) -> Callable[..., Any]:
+    """Turn a node with ``_target_`` into a factory: a partial of the target with its other entries.
+
+    Entries that are such nodes themselves become factories too.
+    """
+    arguments = {
+        key: build(value) if isinstance(value, Mapping) and "_target_" in value else value
+        for key, value in node.items()
+        if key != "_target_"
+    }
+    return partial(locate(node["_target_"]), **arguments)
+
+
+def default_agent(environment: EnvironmentFactory) -> Callable[..., Agent]:
+    """Return the default algorithm's factory, with the task's symmetry where it has one."""
+    algorithm = default_config()["algorithm"]
+    make = build(algorithm["agent"])
+    symmetry = environment.symmetry() if algorithm["use_symmetries"] else None
+    return make if symmetry is None else partial(make, symmetry=symmetry)
+
+
+def default_exploration() -> Callable[..., Any]:
+    """Return the default exploration module's factory."""
+    return build(default_config()["algorithm"]["exploration"])
