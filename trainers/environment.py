@@ -8,23 +8,37 @@ from functools import partial
 from typing import Any, Literal
 
 import torch
+from pydantic import BaseModel, ConfigDict
 from tensordict import NestedKey
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from torchrl.data import Composite
 from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, TransformedEnv
 from torchrl.envs.transforms import (
     CatTensors,
     Compose,
     DoubleToFloat,
+    DTypeCastTransform,
     FlattenObservation,
     ObservationNorm,
     Transform,
 )
 
-from rrl.keys import ACTION, BASE_ACTION, OBSERVATION, PREVIOUS_ACTION
+from rrl.keys import (
+    ACTION,
+    BASE_ACTION,
+    DIVERGED,
+    METRICS,
+    OBSERVATION,
+    PREVIOUS_ACTION,
+    REWARD_TERMS,
+    SAFETY,
+    SUCCESS,
+)
 from rrl.symmetry import Symmetry, as_map
 from rrl.transforms import ActionHistory, ResidualAction
 
 Batching = Literal["native", "serial", "parallel"]
+Reduction = Literal["max", "min", "mean", "sum", "last"]
 _BATCHED = {"serial": SerialEnv, "parallel": ParallelEnv}
 
 
@@ -55,6 +69,20 @@ class Input:
         return column.expand(size)
 
 
+class Metric(BaseModel):
+    """How a quantity that the environment writes under ``("metrics", NAME)`` is reported.
+
+    Attributes:
+        unit: The unit, for axes and tables.
+        reduce: How the steps of an episode become its one value.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    unit: str = ""
+    reduce: Reduction = "mean"
+
+
 @dataclass(frozen=True)
 class EnvironmentFactory:
     """Builds environments: ``[safety, disturbances, sensing, residual, memory, concatenation, normalisation]``.
@@ -81,7 +109,8 @@ class EnvironmentFactory:
         symmetries: mirrors of the task by name, each with a map (:class:`rrl.symmetry.Symmetry`) of ``action`` and of
             every input but ``base_action`` and ``previous_action``, which are actions. A mirror goes through the
             inputs' ``loc``.
-
+        metrics: Unit and reduction of what the environment writes under ``("metrics", NAME)``, by
+            name. Names that are not here are reported with their mean and without a unit.
     """
 
     base: Callable[..., EnvBase]
@@ -95,6 +124,7 @@ class EnvironmentFactory:
     max_episode_steps: int = 1000
     action_history: int = 1
     symmetries: Mapping[str, Mapping[str, Sequence[int]]] = field(default_factory=dict)
+    metrics: Mapping[str, Metric] = field(default_factory=dict)
 
     def with_overrides(self, **overrides: Any) -> EnvironmentFactory:
         """The same chain on a base environment with other arguments (another scenario)."""
@@ -105,11 +135,16 @@ class EnvironmentFactory:
 
         Raises:
             KeyError: if an input or the controller names an entry that the environment does not have.
-
+            ValueError: If an entry that is reported is not one number a slot, or ``metrics`` names
+                one that the environment does not write.
         """
         env = TransformedEnv(self._make_base(num_envs), Compose())
+        _check_reported(env.observation_spec, env.ndim, self.metrics)
         if any(spec.dtype == torch.float64 for spec in env.specs.values(True, True)):
             env.append_transform(DoubleToFloat())
+        for key in (SUCCESS, DIVERGED):  # some environments write 0.0 and 1.0
+            if (dtype := _dtype(env.observation_spec, key)) not in (None, torch.bool):
+                env.append_transform(DTypeCastTransform(dtype, torch.bool, in_keys=[key]))
         for make in (*self.safety, *self.disturbances, *self.sensing):
             env.append_transform(make())
         env.append_transform(ResidualAction(self.controller(), scale=self.residual_scale))
@@ -201,6 +236,38 @@ class EnvironmentFactory:
         scales = torch.cat(scale)
         env.append_transform(
             ObservationNorm(loc=-torch.cat(loc) * scales, scale=scales, in_keys=[OBSERVATION])
+        )
+
+
+def _dtype(spec: Composite, key: str) -> torch.dtype | None:
+    return spec[key].dtype if key in spec.keys() else None  # noqa: SIM118 - a spec is no dict
+
+
+def _check_reported(spec: Composite, batch_dims: int, declared: Mapping[str, Metric]) -> None:
+    """Refuse reserved entries that cannot be reported: each must be one number a slot."""
+    leaves = {key: spec[key] for key in (SUCCESS, DIVERGED) if _dtype(spec, key)}
+    for group in (METRICS, SAFETY, REWARD_TERMS):
+        entries = spec[group] if group in spec.keys() else Composite()  # noqa: SIM118
+        if not isinstance(entries, Composite):
+            shape = list(entries.shape[batch_dims:])
+            raise ValueError(
+                f"environment: {group}: expected named entries ({group!r}, NAME) of one number "
+                f"each, got a tensor {shape}"
+            )
+        leaves |= {f"{group}/{name}": leaf for name, leaf in entries.items()}
+    for name, leaf in leaves.items():
+        shape = list(leaf.shape[batch_dims:])
+        if isinstance(leaf, Composite) or leaf.shape[batch_dims:].numel() != 1:
+            got = "a nested entry" if isinstance(leaf, Composite) else f"a tensor {shape}"
+            raise ValueError(
+                f"environment: {name}: expected one number a slot [*batch, 1], got {got}: write "
+                "each component under its own name, or a norm"
+            )
+    written = [name.partition("/")[2] for name in leaves if name.startswith(f"{METRICS}/")]
+    if missing := sorted(set(declared) - set(written)):
+        raise ValueError(
+            f"environment: metrics: expected names that the environment writes {written}, "
+            f"got {missing}"
         )
 
 

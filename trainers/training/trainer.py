@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from tensordict.nn import TensorDictModuleBase
 
 from rrl.algorithms import TD3
@@ -19,6 +20,7 @@ from ..evaluation.episodes import Comparison
 from ..evaluation.evaluator import Evaluator
 from ..loggers import CSVLogger, Guarded, MetricsLogger, metrics
 from ..loggers.timing import Stopwatch
+from ..seeds import Stream
 from ..settings import TrainerSettings
 from ..storage.checkpoints import Checkpoints, newest_whole
 from ..storage.finite import require_finite
@@ -140,11 +142,11 @@ class Trainer:
         self._resumed = True
         return path
 
-    def run(self) -> dict[str, list[Comparison]]:
+    def run(self) -> dict[str, Comparison]:
         """Train to ``total_steps``, evaluate every scenario, save.
 
         Returns:
-            For every scenario one comparison with the controller per seed.
+            For every scenario a comparison with the controller.
 
         Raises:
             Interrupted: if SIGTERM or Ctrl-C asked for it; the run is saved.
@@ -155,14 +157,15 @@ class Trainer:
         settings = self.settings
         self.require_new_or_resumed()
         for logger in self.loggers:
-            logger.start(self.run_dir, self.config, settings.seeds, self.env_steps)
+            logger.start(self.run_dir, self.config, self.env_steps)
         with (
             self.interruption.listening(),
             self.progress.training(settings.total_steps, self.env_steps),
         ):
             if self.env_steps == 0:
                 self._save()
-                self._evaluate()
+                if settings.evaluation.every:
+                    self._evaluate()
             while self.env_steps < settings.total_steps:
                 self._stop_if_asked()
                 self._round()
@@ -214,7 +217,7 @@ class Trainer:
         self.profile.add(values, self.settings.steps_per_round)
         with self.stopwatch("log"):
             self._log(values)
-        if self._due(self.settings.evaluation.every) and self.env_steps < self.settings.total_steps:
+        if self._due(self.settings.evaluation.every):
             with self.stopwatch("evaluate"):
                 self._evaluate()
         self.progress.advance(self.settings.steps_per_round)
@@ -268,25 +271,27 @@ class Trainer:
         return bool(every) and self.env_steps % every == 0
 
     def _evaluate(self) -> None:
-        scenario, comparisons = self.evaluator.during_training(self.agent, self.settings.num_seeds)
-        self.progress.show(comparisons, self.env_steps)
-        self._log_evaluation(scenario, comparisons)
+        scenario = self.evaluator.followed
+        comparison = self.evaluator.compare(
+            self.agent.policy_of(0), scenario, Stream.FOLLOWING, self.settings.evaluation.episodes
+        )
+        self.progress.show(comparison, self.env_steps)
+        self._log(metrics.evaluation(metrics.EVALUATION, scenario, comparison.summary()))
 
-    def _evaluate_all(self) -> dict[str, list[Comparison]]:
+    def _evaluate_all(self) -> dict[str, Comparison]:
         results = {}
         for scenario in self.progress.track(self.evaluator.scenarios, "evaluating"):
             self._stop_if_asked()
-            episodes = self.settings.evaluation.final_episodes
             results[scenario] = self.evaluator.compare(
-                self.agent, self.settings.num_seeds, scenario, episodes
+                self.agent.policy_of(0),
+                scenario,
+                Stream.FINAL,
+                self.settings.evaluation.final_episodes,
             )
-            self._log_evaluation(scenario, results[scenario])
+            self._log(metrics.evaluation(metrics.FINAL, scenario, results[scenario].summary()))
         return results
 
-    def _log_evaluation(self, scenario: str, comparisons: list[Comparison]) -> None:
-        rows = [metrics.evaluation(scenario, c.summary()) for c in comparisons]
-        self._log({name: [row[name] for row in rows] for name in rows[0]})
-
-    def _log(self, values: metrics.Values) -> None:
+    def _log(self, values: Mapping[str, Any]) -> None:
+        one = {name: float(np.mean(value)) for name, value in values.items()}
         for logger in self.loggers:
-            logger.log(values, self.env_steps)
+            logger.log(one, self.env_steps)
