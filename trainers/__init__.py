@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .environment import EnvironmentFactory, Input
+    from .environment import EnvironmentFactory, Input, Metric
     from .settings import CheckpointSettings, EvaluationSettings, TrainerSettings
     from .training.trainer import Trainer
 
@@ -19,6 +19,7 @@ __all__ = [
     "EnvironmentFactory",
     "EvaluationSettings",
     "Input",
+    "Metric",
     "Trainer",
     "TrainerSettings",
 ]
@@ -28,6 +29,7 @@ _MODULES = {
     "EnvironmentFactory": ".environment",
     "EvaluationSettings": ".settings",
     "Input": ".environment",
+    "Metric": ".environment",
     "Trainer": ".training.trainer",
     "TrainerSettings": ".settings",
 }

@@ -8,20 +8,46 @@ from functools import partial
 from typing import Any, Literal
 
 import torch
+from pydantic import BaseModel, ConfigDict
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torchrl.data import Composite
 from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, TransformedEnv
-from torchrl.envs.transforms import Compose, DoubleToFloat, Transform
+from torchrl.envs.transforms import Compose, DoubleToFloat, DTypeCastTransform, Transform
 
 from rrl.inputs import Input
-from rrl.keys import ACTION, BASE_ACTION, PREVIOUS_ACTION
+from rrl.keys import (
+    ACTION,
+    BASE_ACTION,
+    DIVERGED,
+    METRICS,
+    PREVIOUS_ACTION,
+    REWARD_TERMS,
+    SAFETY,
+    SUCCESS,
+)
 from rrl.symmetry import Symmetry, as_map
 from rrl.transforms import ActionHistory, ResidualAction
 
-__all__ = ["Batching", "EnvironmentFactory", "Input", "ResumableEnv"]
+__all__ = ["Batching", "EnvironmentFactory", "Input", "Metric", "ResumableEnv"]
 
 Batching = Literal["native", "serial", "parallel"]
+Reduction = Literal["max", "min", "mean", "sum", "last"]
 _BATCHED = {"serial": SerialEnv, "parallel": ParallelEnv}
+
+
+class Metric(BaseModel):
+    """How a quantity that the environment writes under ``("metrics", NAME)`` is reported.
+
+    Attributes:
+        unit: The unit, for axes and tables.
+        reduce: How the steps of an episode become its one value.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    unit: str = ""
+    reduce: Reduction = "mean"
 
 
 class ResumableEnv(TransformedEnv):
@@ -82,6 +108,8 @@ class EnvironmentFactory:
         symmetries: Mirrors of the task by name, each with a map (:class:`rrl.symmetry.Symmetry`) of
             ``action`` and of every input but ``base_action`` and ``previous_action``, which are
             actions. A mirror goes through the inputs' ``loc``.
+        metrics: Unit and reduction of what the environment writes under ``("metrics", NAME)``, by
+            name. Names that are not here are reported with their mean and without a unit.
     """
 
     base: Callable[..., EnvBase]
@@ -95,6 +123,7 @@ class EnvironmentFactory:
     max_episode_steps: int = 1000
     action_history: int = 1
     symmetries: Mapping[str, Mapping[str, Sequence[int]]] = field(default_factory=dict)
+    metrics: Mapping[str, Metric] = field(default_factory=dict)
 
     def with_overrides(self, **overrides: Any) -> EnvironmentFactory:
         """Return the same chain on a base environment with other arguments (another scenario)."""
@@ -105,10 +134,16 @@ class EnvironmentFactory:
 
         Raises:
             KeyError: If an input or the controller names an entry that the environment lacks.
+            ValueError: If an entry that is reported is not one number a slot, or ``metrics`` names
+                one that the environment does not write.
         """
         env = ResumableEnv(self._make_base(num_envs), Compose())
+        _check_reported(env.observation_spec, env.ndim, self.metrics)
         if any(spec.dtype == torch.float64 for spec in env.specs.values(True, True)):
             env.append_transform(DoubleToFloat())
+        for key in (SUCCESS, DIVERGED):  # some environments write 0.0 and 1.0
+            if (dtype := _dtype(env.observation_spec, key)) not in (None, torch.bool):
+                env.append_transform(DTypeCastTransform(dtype, torch.bool, in_keys=[key]))
         for make in (*self.safety, *self.disturbances, *self.sensing):
             env.append_transform(make())
         env.append_transform(ResidualAction(self.controller(), scale=self.residual_scale))
@@ -178,6 +213,38 @@ class EnvironmentFactory:
         if self.batching == "native":
             return self.base(num_envs=num_envs)
         return self.base() if num_envs == 1 else _BATCHED[self.batching](num_envs, self.base)
+
+
+def _dtype(spec: Composite, key: str) -> torch.dtype | None:
+    return spec[key].dtype if key in spec.keys() else None  # noqa: SIM118 - a spec is no dict
+
+
+def _check_reported(spec: Composite, batch_dims: int, declared: Mapping[str, Metric]) -> None:
+    """Refuse reserved entries that cannot be reported: each must be one number a slot."""
+    leaves = {key: spec[key] for key in (SUCCESS, DIVERGED) if _dtype(spec, key)}
+    for group in (METRICS, SAFETY, REWARD_TERMS):
+        entries = spec[group] if group in spec.keys() else Composite()  # noqa: SIM118
+        if not isinstance(entries, Composite):
+            shape = list(entries.shape[batch_dims:])
+            raise ValueError(
+                f"environment: {group}: expected named entries ({group!r}, NAME) of one number "
+                f"each, got a tensor {shape}"
+            )
+        leaves |= {f"{group}/{name}": leaf for name, leaf in entries.items()}
+    for name, leaf in leaves.items():
+        shape = list(leaf.shape[batch_dims:])
+        if isinstance(leaf, Composite) or leaf.shape[batch_dims:].numel() != 1:
+            got = "a nested entry" if isinstance(leaf, Composite) else f"a tensor {shape}"
+            raise ValueError(
+                f"environment: {name}: expected one number a slot [*batch, 1], got {got}: write "
+                "each component under its own name, or a norm"
+            )
+    written = [name.partition("/")[2] for name in leaves if name.startswith(f"{METRICS}/")]
+    if missing := sorted(set(declared) - set(written)):
+        raise ValueError(
+            f"environment: metrics: expected names that the environment writes {written}, "
+            f"got {missing}"
+        )
 
 
 def _joined(maps: Sequence[Sequence[int]]) -> list[int]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -13,16 +12,16 @@ import yaml
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor
 from torchrl.envs import TransformedEnv
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rrl.algorithms.base import Agent
 from rrl.controllers import Controller, PolicyController, ReplayController, ZeroController
 from rrl.keys import ACTION, BASE_ACTION, OBSERVATION, PREVIOUS_ACTION, SUCCESS
-from rrl.slot_random import seed_env
 from rrl.transforms.action_bounds import limits_of
 
 from .configuration import build as assembly
 from .environment import EnvironmentFactory
+from .evaluation.rollout import isolated_generators, rollout
+from .seeds import Stream, first_seed
 from .storage.checkpoints import load_agent
 from .storage.run_files import CONFIG_FILE
 
@@ -119,10 +118,7 @@ def chosen(config: Config, run: str | Path, seed: int | None) -> int:
             raise ValueError(
                 f"seed: {run} has no final evaluation to choose the best seed by; name one of {seeds}"
             )
-        results = next(iter(json.loads(path.read_text(encoding="utf-8")).values()))
-        seed = max(
-            seeds, key=lambda s: (results[str(s)].get("success", 0.0), results[str(s)]["return"])
-        )
+        seed = seeds[0]
     if seed not in seeds:
         raise ValueError(f"seed: expected one of the run's seeds {seeds}, got {seed}")
     return seeds.index(seed)
@@ -151,7 +147,8 @@ def _actions(run: str | None, seed: int | None) -> Tensor:
     """Actions ``[T, n_act]`` of the first frozen episode that the policy solves; of the first one if it solves none."""
     config, agent, k = _source(run, seed)
     factory = next(iter(assembly.scenarios(config).values()))
-    env, first = factory.make(1), assembly.settings(config).evaluation.seed
+    env = factory.make(1)
+    first = first_seed(Stream.FOLLOWING, assembly.settings(config).evaluation.seed)
     tried = []
     for episode in range(EPISODES_TRIED):
         actions, solved = _episode(
@@ -165,12 +162,10 @@ def _actions(run: str | None, seed: int | None) -> Tensor:
 
 
 def _episode(env: TransformedEnv, policy: Any, seed: int, max_steps: int) -> tuple[Tensor, bool]:
-    seed_env(env, seed)
-    with set_exploration_type(ExplorationType.DETERMINISTIC):
-        data = env.rollout(max_steps, policy)
-    return data[ACTION].reshape(-1, data[ACTION].shape[-1]), bool(
-        data["next"].get(SUCCESS, torch.zeros(1)).ravel()[-1]
-    )
+    with isolated_generators(seed):
+        _, *steps = (td for td, _ in rollout(env, policy, seed, max_steps))
+    actions = torch.stack([td[ACTION].flatten() for td in steps])
+    return actions, bool(steps[-1].get(SUCCESS, torch.zeros(1)).any())
 
 
 def _source(run: str | None, seed: int | None) -> tuple[Config, Agent, int]:

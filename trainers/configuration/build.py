@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ..environment import EnvironmentFactory, Input
+from ..environment import EnvironmentFactory, Input, Metric
 from ..loggers import MetricsLogger
 from ..settings import TrainerSettings
 from ..training.learner import build
@@ -56,6 +56,7 @@ def environment(config: Config) -> EnvironmentFactory:
         max_episode_steps=env["max_episode_steps"],
         action_history=env.get("action_history", 1),
         symmetries=env.get("symmetries") or {},
+        metrics={name: Metric(**(how or {})) for name, how in (env.get("metrics") or {}).items()},
     )
 
 

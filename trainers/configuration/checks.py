@@ -14,7 +14,7 @@ from torchrl.data import Bounded
 
 from rrl.keys import BASE_ACTION, PREVIOUS_ACTION
 
-from ..environment import Batching, EnvironmentFactory, Input
+from ..environment import Batching, EnvironmentFactory, Input, Metric
 from ..settings import Positive, TrainerSettings
 from ..storage.run_files import CONFIG_FILE
 from ..training.learner import build, locate
@@ -55,6 +55,7 @@ class _Env(_Section):
     residual_scale: Scale = 1.0
     action_history: Positive = 1
     symmetries: dict[str, dict[str, list[int]]] | None = None
+    metrics: dict[PlainName, Metric | None] | None = None
     sensing: Targets = None
     renderer: Target | None = None
 

@@ -1,24 +1,25 @@
-"""Frozen episodes without exploration, paired with the controller alone on the same episodes."""
+"""What frozen episodes came to, and a policy beside the controller alone on the same ones."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from tensordict import NestedKey, TensorDictBase
-from tensordict.nn import TensorDictModule, TensorDictModuleBase
-from torchrl.envs import EnvBase
-from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
-from rrl.keys import ACTION, DIVERGED, SAFETY, SUCCESS
-from rrl.slot_random import seed_env
+from rrl.keys import METRICS, SAFETY
 
+from ..storage.files import write_atomically
 from .statistics import mcnemar, wilson
 
-PEAKS = ("contact_force", "tilt")
-"""Entries whose largest value over an episode is reported, where the environment has them."""
+__all__ = ["CONTROLLER", "Comparison", "Episodes", "write_results"]
+
+CONTROLLER = "controller_"
+"""Prefix of the entries of the controller alone."""
 
 
 @dataclass(frozen=True)
@@ -26,24 +27,27 @@ class Episodes:
     """What ``N`` episodes came to; every array is ``[N]``.
 
     Attributes:
-        returns: undiscounted sum of rewards.
-        lengths: number of control steps.
-        success: whether the last step was a success; None where the environment does not say.
-        diverged: whether the physics diverged.
-        peaks: largest value of each entry of ``PEAKS`` over the episode, in the entry's units.
-        limited: number of steps in which each safety limit changed the action, by the limit's name.
-
+        returns: Undiscounted sums of rewards.
+        lengths: Numbers of control steps.
+        success: Whether the last step was a success; None where the environment does not say.
+        diverged: Whether the physics diverged.
+        metrics: What the environment wrote under ``("metrics", NAME)``, reduced over the episode.
+        limited: Numbers of steps in which each safety limit changed the action, by limit.
     """
 
     returns: NDArray[np.float64]
     lengths: NDArray[np.int64]
     success: NDArray[np.bool_] | None
     diverged: NDArray[np.bool_]
-    peaks: dict[str, NDArray[np.float64]] = field(default_factory=dict)
-    limited: dict[str, NDArray[np.int64]] = field(default_factory=dict)
+    metrics: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    limited: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
 
     def summary(self) -> dict[str, float]:
-        """Means over the episodes, with Wilson's interval of the success rate; ``safety_*`` are shares of the steps."""
+        """Return means over the episodes.
+
+        Success comes with Wilson's 95 % interval, every metric with its 99th percentile;
+        ``safety_<limit>`` is a share of the steps.
+        """
         out = {
             "return": float(self.returns.mean()),
             "episode_length": float(self.lengths.mean()),
@@ -51,16 +55,22 @@ class Episodes:
         }
         if self.success is not None:
             low, high = wilson(int(self.success.sum()), len(self.success))
-            out |= {
-                "success": float(self.success.mean()),
-                "success_low": low,
-                "success_high": high,
-            }
-        out |= {f"peak_{name}": float(peak.mean()) for name, peak in self.peaks.items()}
+            rate = float(self.success.mean())
+            out |= {"success": rate, "success_low": low, "success_high": high}
+        for name, values in self.metrics.items():
+            out[f"{METRICS}/{name}"] = float(values.mean())
+            out[f"{METRICS}/{name}_p99"] = float(np.percentile(values, 99))
         steps = self.lengths.sum()
-        return out | {
-            f"{SAFETY}_{name}": float(count.sum() / steps) for name, count in self.limited.items()
-        }
+        for limit, count in self.limited.items():
+            out[f"{SAFETY}_{limit}"] = float(count.sum() / steps)
+        return out
+
+    def values(self) -> dict[str, list[Any]]:
+        """Return one value an episode: success, return and every metric."""
+        out: dict[str, list[Any]] = {"return": self.returns.tolist()}
+        if self.success is not None:
+            out["success"] = self.success.tolist()
+        return out | {f"{METRICS}/{name}": v.tolist() for name, v in self.metrics.items()}
 
 
 @dataclass(frozen=True)
@@ -72,24 +82,18 @@ class Comparison:
 
     @property
     def rescues(self) -> NDArray[np.int64]:
-        """Episodes that the controller fails and the residual solves."""
-        return self._changed(self.residual, self.controller)
+        """Numbers of the episodes that the controller fails and the policy solves."""
+        return _only_first(self.residual, self.controller)
 
     @property
     def regressions(self) -> NDArray[np.int64]:
-        """Episodes that the controller solves and the residual fails."""
-        return self._changed(self.controller, self.residual)
-
-    @staticmethod
-    def _changed(better: Episodes, worse: Episodes) -> NDArray[np.int64]:
-        if better.success is None or worse.success is None:
-            return np.zeros(0, dtype=np.int64)
-        return np.flatnonzero(better.success & ~worse.success)
+        """Numbers of the episodes that the controller solves and the policy fails."""
+        return _only_first(self.controller, self.residual)
 
     def summary(self) -> dict[str, float]:
-        """The residual's summary, the controller's under ``controller_``, and how they differ."""
+        """Return the policy's summary, the controller's under ``controller_``, and the change."""
         out = self.residual.summary()
-        out |= {f"controller_{name}": value for name, value in self.controller.summary().items()}
+        out |= {f"{CONTROLLER}{name}": v for name, v in self.controller.summary().items()}
         out["return_gain"] = float((self.residual.returns - self.controller.returns).mean())
         if self.residual.success is not None:
             rescues, regressions = len(self.rescues), len(self.regressions)
@@ -102,94 +106,20 @@ class Comparison:
             }
         return out
 
-
-def zero_residual(env: EnvBase) -> TensorDictModule:
-    """The policy that leaves the controller alone: an action of zeros."""
-    spec = env.full_action_spec[ACTION]
-    return TensorDictModule(lambda: torch.zeros(spec.shape), in_keys=[], out_keys=[ACTION])
-
-
-@torch.no_grad()
-def run_episodes(
-    env: EnvBase, policy: TensorDictModuleBase, num_episodes: int, seed: int, max_steps: int
-) -> Episodes:
-    """Run episodes ``0 .. num_episodes - 1`` of the frozen set that ``seed`` names.
-
-    Episode ``i`` starts in the slot seeded ``seed + i``, whatever the batch size, and is the same for every policy.
-
-    Args:
-        env: environment with any batch size; its slots run episodes side by side.
-        policy: from observation keys to ``action``.
-        num_episodes: how many.
-        seed: names the set.
-        max_steps: bound on an episode's length.
-
-    """
-    slots = max(env.batch_size.numel(), 1)
-    parts = []
-    with set_exploration_type(ExplorationType.DETERMINISTIC):
-        for first in range(0, num_episodes, slots):
-            seed_env(env, seed + first)
-            parts.append(_run_batch(env, policy, max_steps))
-    return _concatenate(parts, num_episodes)
+    def record(self) -> dict[str, dict[str, Any]]:
+        """Return what ``results.json`` holds of a scenario: the summary, and every episode."""
+        alone = {f"{CONTROLLER}{name}": v for name, v in self.controller.values().items()}
+        return {"summary": self.summary(), "episodes": self.residual.values() | alone}
 
 
-def _run_batch(env: EnvBase, policy: TensorDictModuleBase, max_steps: int) -> Episodes:
-    td = env.reset()
-    slots = max(env.batch_size.numel(), 1)
-    running = torch.ones(slots, dtype=torch.bool)
-    returns = torch.zeros(slots, dtype=torch.float64)
-    lengths = torch.zeros(slots, dtype=torch.int64)
-    diverged = torch.zeros(slots, dtype=torch.bool)
-    success = None
-    peaks: dict[str, torch.Tensor] = {}
-    limited: dict[str, torch.Tensor] = {}
-    for _ in range(max_steps):
-        td = env.step(policy(td))
-        following = td["next"]
-        returns += _column(following, "reward", slots).double() * running
-        lengths += running
-        if SUCCESS in following:
-            now = _column(following, SUCCESS, slots)
-            success = now if success is None else torch.where(running, now, success)
-        if DIVERGED in following:
-            diverged |= _column(following, DIVERGED, slots) & running
-        for name in PEAKS:
-            if name in following:
-                value = torch.where(running, _column(following, name, slots), -torch.inf)
-                peaks[name] = torch.maximum(peaks.get(name, value), value)
-        for name in following.get(SAFETY, {}).keys():  # noqa: SIM118 - a TensorDict's
-            limited[name] = (
-                limited.get(name, 0) + (_column(following, (SAFETY, name), slots) & running).long()
-            )
-        running &= ~_column(following, "done", slots)
-        if not running.any():
-            break
-        td = step_mdp(td)
-    return Episodes(
-        returns.numpy(),
-        lengths.numpy(),
-        None if success is None else success.numpy(),
-        diverged.numpy(),
-        {name: peak.double().numpy() for name, peak in peaks.items()},
-        {name: count.numpy() for name, count in limited.items()},
-    )
+def write_results(results: Mapping[str, Comparison], path: Path) -> None:
+    """Write every scenario's record as JSON, all or nothing."""
+    content = {scenario: comparison.record() for scenario, comparison in results.items()}
+    write_atomically(path, json.dumps(content, indent=1) + "\n")
 
 
-def _column(td: TensorDictBase, key: NestedKey, slots: int) -> torch.Tensor:
-    return td[key].reshape(slots)
-
-
-def _concatenate(parts: list[Episodes], count: int) -> Episodes:
-    successes = [p.success for p in parts if p.success is not None]
-    return Episodes(
-        np.concatenate([p.returns for p in parts])[:count],
-        np.concatenate([p.lengths for p in parts])[:count],
-        np.concatenate(successes)[:count] if successes else None,
-        np.concatenate([p.diverged for p in parts])[:count],
-        {name: np.concatenate([p.peaks[name] for p in parts])[:count] for name in parts[0].peaks},
-        {
-            name: np.concatenate([p.limited[name] for p in parts])[:count]
-            for name in parts[0].limited
-        },
-    )
+def _only_first(first: Episodes, second: Episodes) -> NDArray[np.int64]:
+    """Numbers of the episodes that only the first one solves."""
+    if first.success is None or second.success is None:
+        return np.zeros(0, dtype=np.int64)
+    return np.flatnonzero(first.success & ~second.success)

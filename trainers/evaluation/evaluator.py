@@ -1,67 +1,80 @@
-"""Evaluates stacked policies on named scenarios, with the controller's episodes run once."""
+"""Evaluate policies on named scenarios; the controller plays each set of episodes once."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
+from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
 from ..environment import EnvironmentFactory
+from ..seeds import Stream, first_seed
 from ..settings import EvaluationSettings
-from .episodes import Comparison, Episodes, run_episodes, zero_residual
+from .episodes import Comparison, Episodes
+from .rollout import run_episodes, zero_residual
+
+__all__ = ["Evaluator"]
 
 
 class Evaluator:
-    """Pairs policies with the controller alone on frozen episodes.
+    """Pairs a policy with the controller alone on frozen episodes.
 
     Args:
-        scenarios: environments by name; the first is followed during training.
-        settings: how many episodes, and which.
+        scenarios: Environments by name; the first is followed during training.
+        settings: How many episodes, and which.
 
+    Raises:
+        ValueError: If there is no scenario.
     """
 
     def __init__(
         self, scenarios: Mapping[str, EnvironmentFactory], settings: EvaluationSettings
     ) -> None:
         if not scenarios:
-            raise ValueError("expected at least one scenario to evaluate on")
+            raise ValueError("scenarios: expected at least one, got none")
         self.scenarios, self.settings = dict(scenarios), settings
-        self._envs: dict[str, EnvBase] = {}
-        self._controller: dict[tuple[str, int], Episodes] = {}
+        self._envs: dict[tuple[str, int], EnvBase] = {}
+        self._controller: dict[tuple[str, Stream, int], Episodes] = {}
 
-    def during_training(self, agent: Any, num_seeds: int) -> tuple[str, list[Comparison]]:
-        """Evaluate every seed's policy on the first scenario."""
-        scenario = next(iter(self.scenarios))
-        return scenario, self.compare(agent, num_seeds, scenario, self.settings.episodes)
+    @property
+    def followed(self) -> str:
+        """The scenario that is evaluated during training."""
+        return next(iter(self.scenarios))
 
-    def compare(self, agent: Any, num_seeds: int, scenario: str, episodes: int) -> list[Comparison]:
-        """One comparison with the controller per seed."""
-        controller = self.controller(scenario, episodes)
-        return [
-            Comparison(self._run(agent.policy_of(k), scenario, episodes), controller)
-            for k in range(num_seeds)
-        ]
-
-    def controller(self, scenario: str, episodes: int) -> Episodes:
-        """The controller alone, run once for each scenario and number of episodes."""
-        key = scenario, episodes
+    def compare(
+        self, policy: TensorDictModuleBase, scenario: str, stream: Stream, episodes: int
+    ) -> Comparison:
+        """Compare a policy with the controller alone on the first episodes of a stream."""
+        key = scenario, stream, episodes
         if key not in self._controller:
-            self._controller[key] = self._run(zero_residual(self._env(scenario)), *key)
-        return self._controller[key]
+            alone = zero_residual(self._env(scenario, episodes))
+            self._controller[key] = self._play(alone, *key)
+        return Comparison(self._play(policy, *key), self._controller[key])
 
     def close(self) -> None:
         """Close the environments."""
-        for env in self._envs.values():
-            env.close()
+        while self._envs:
+            self._envs.popitem()[1].close()
 
-    def _run(self, policy: Any, scenario: str, episodes: int) -> Episodes:
-        max_steps = self.scenarios[scenario].max_episode_steps
-        return run_episodes(self._env(scenario), policy, episodes, self.settings.seed, max_steps)
+    def _play(
+        self, policy: TensorDictModuleBase, scenario: str, stream: Stream, episodes: int
+    ) -> Episodes:
+        factory = self.scenarios[scenario]
+        return run_episodes(
+            self._env(scenario, episodes),
+            policy,
+            episodes,
+            first_seed(stream, self.settings.seed),
+            factory.max_episode_steps,
+            factory.metrics,
+        )
 
-    def _env(self, scenario: str) -> EnvBase:
-        if scenario not in self._envs:
-            factory = self.scenarios[scenario]
-            slots = self.settings.slots if factory.batching == "native" else 1
-            self._envs[scenario] = factory.make(slots)
-        return self._envs[scenario]
+    def _env(self, scenario: str, episodes: int) -> EnvBase:
+        """The scenario's environment, with equal batches that no slot is played in vain for."""
+        factory, slots = self.scenarios[scenario], 1
+        if factory.batching == "native":
+            batches = -(-episodes // self.settings.slots)
+            slots = -(-episodes // batches)
+        if (scenario, slots) not in self._envs:
+            self._envs[scenario, slots] = factory.make(slots)
+        return self._envs[scenario, slots]

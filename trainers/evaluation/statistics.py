@@ -1,49 +1,155 @@
-"""Intervals and tests for what an evaluation counts."""
+"""Intervals and tests for what evaluations count; a run is a cluster of episodes.
+
+``benchmarks/coverage.py`` simulates how often the intervals cover what they say.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.special import gammaln
+
+__all__ = [
+    "Interval",
+    "iqm",
+    "iqm_interval",
+    "mcnemar",
+    "mean_interval",
+    "paired_interval",
+    "success_interval",
+    "wilson",
+]
 
 Interval = tuple[float, float]
 Values: TypeAlias = "Sequence[float] | NDArray[Any]"
 
+NO_INTERVAL = (float("nan"), float("nan"))
+"""What one run says about others."""
+
+_MEAN_PRIOR = 0.75
+"""Of the mean rate: Beta(0.75, 0.75), between Jeffreys' prior and the uniform one."""
+_SPREAD_PRIOR = 0.2
+"""Of the square root of the correlation within a run: half-Cauchy with this scale (Gelman, 2006)."""
+_MEANS, _SPREADS = 400, 40
+
 
 def wilson(successes: int, trials: int, confidence: float = 0.95) -> Interval:
-    """Wilson's score interval of a success rate."""
+    """Return Wilson's score interval of the success rate of one policy."""
     interval = stats.binomtest(successes, trials).proportion_ci(confidence, method="wilson")
     return float(interval.low), float(interval.high)
 
 
+def success_interval(successes: Sequence[int], episodes: int, confidence: float = 0.95) -> Interval:
+    """Return an interval of the mean success rate of runs like these.
+
+    The successes of a run are beta-binomial: runs differ, and episodes of one run are alike. The
+    interval holds the middle of the mean's posterior under weak priors, integrated over the
+    spread between runs, so it stays honest for few runs and near 0 and 1 and never has zero width.
+    It does not count that all runs play the same frozen episodes: it speaks of episodes like these.
+    One run says nothing about others; its interval is Wilson's, and is of that policy alone.
+
+    Args:
+        successes: Solved episodes of each run, ``[S]``.
+        episodes: Episodes of each run.
+        confidence: Probability of covering.
+
+    Raises:
+        ValueError: If a count is not between 0 and ``episodes``, or there is none.
+    """
+    counts = tuple(int(count) for count in successes)
+    if not counts or not all(0 <= count <= episodes for count in counts):
+        raise ValueError(f"successes: expected counts from 0 to {episodes}, got {counts}")
+    if len(counts) == 1:
+        return wilson(counts[0], episodes, confidence)
+    return _beta_binomial(tuple(sorted(counts)), int(episodes), confidence)
+
+
+@lru_cache(maxsize=4096)
+def _beta_binomial(counts: tuple[int, ...], episodes: int, confidence: float) -> Interval:
+    # Means are equally spaced in the arcsine's scale, where Jeffreys' prior is flat.
+    mean = np.sin(np.pi / 2 * (np.arange(_MEANS) + 0.5) / _MEANS)[:, None] ** 2  # (M, 1)
+    root = (np.arange(_SPREADS) + 0.5) / _SPREADS  # (R,), of the correlation within a run
+    size = 1 / root**2 - 1
+    a, b = mean * size, (1 - mean) * size  # (M, R), of the beta distribution over runs
+    log_density = (_MEAN_PRIOR - 0.5) * np.log(mean * (1 - mean))
+    log_density = log_density - np.log1p((root / _SPREAD_PRIOR) ** 2)
+    constant = gammaln(a + b) - gammaln(a) - gammaln(b) - gammaln(episodes + a + b)
+    log_density = log_density + len(counts) * constant
+    for count, runs in zip(*np.unique(counts, return_counts=True), strict=True):
+        log_density += runs * (gammaln(count + a) + gammaln(episodes - count + b))
+    density = np.exp(log_density - log_density.max()).sum(axis=1)  # (M,)
+    cumulative = np.concatenate([[0.0], density.cumsum() / density.sum()])
+    edges = np.sin(np.pi / 2 * np.arange(_MEANS + 1) / _MEANS) ** 2
+    tail = (1 - confidence) / 2
+    low, high = np.interp([tail, 1 - tail], cumulative, edges)
+    # Nothing speaks against the bound that all counts lie at (Brown, Cai and DasGupta, 2001).
+    return (
+        0.0 if max(counts) == 0 else float(low),
+        1.0 if min(counts) == episodes else float(high),
+    )
+
+
 def mean_interval(values: Values, confidence: float = 0.95) -> Interval:
-    """Student's t interval of the mean over independent runs; degenerate for a single one."""
+    """Return Student's t interval of the mean over runs; not a number for a single run."""
     array = np.asarray(values, dtype=float)
-    mean = float(array.mean())
-    if len(array) < 2 or np.ptp(array) == 0:
-        return mean, mean
-    half = stats.sem(array) * stats.t.ppf(0.5 + confidence / 2, len(array) - 1)
-    return mean - float(half), mean + float(half)
+    if len(array) < 2:
+        return NO_INTERVAL
+    half = float(stats.sem(array) * stats.t.ppf(0.5 + confidence / 2, len(array) - 1))
+    return float(array.mean()) - half, float(array.mean()) + half
 
 
-def exact_interval(successes: int, trials: int, confidence: float = 0.95) -> Interval:
-    """Clopper and Pearson's interval of a success rate: never too narrow."""
-    interval = stats.binomtest(successes, trials).proportion_ci(confidence, method="exact")
-    return float(interval.low), float(interval.high)
+def paired_interval(
+    differences: Values, bound: float | None = None, confidence: float = 0.95
+) -> Interval:
+    """Return an interval of the mean difference of two arms on the same episodes.
+
+    The squared errors over runs and over episodes are added, with Satterthwaite's degrees of
+    freedom. Differences with a bound, as of successes, get one more episode at either bound
+    (Bonett and Price, 2012): the interval never has zero width.
+
+    Args:
+        differences: One arm less the other for every run and episode, ``[S, N]``.
+        bound: The largest possible difference; 1 for successes.
+        confidence: Probability of covering.
+    """
+    table = np.atleast_2d(np.asarray(differences, dtype=float))
+    if bound is not None:
+        ends = np.repeat([[bound, -bound]], len(table), axis=0)
+        table = np.concatenate([table, ends], axis=1)
+    runs, episodes = table.shape
+    parts = [table.mean(axis=0).var(ddof=1) / episodes] if episodes > 1 else []
+    parts += [table.mean(axis=1).var(ddof=1) / runs] if runs > 1 else []
+    freedoms = [count - 1 for count in (episodes, runs) if count > 1]
+    error = sum(parts)
+    if not parts:
+        return NO_INTERVAL
+    weights = sum(part**2 / freedom for part, freedom in zip(parts, freedoms, strict=True))
+    freedom = error**2 / weights if weights else 1.0
+    half = float(np.sqrt(error) * stats.t.ppf(0.5 + confidence / 2, freedom))
+    low, high = float(table.mean()) - half, float(table.mean()) + half
+    return (low, high) if bound is None else (max(low, -bound), min(high, bound))
 
 
 def iqm(*strata: Values) -> float:
-    """Interquartile mean of all values: the mean of the middle half."""
+    """Return the interquartile mean of all values: the mean of the middle half."""
     return float(stats.trim_mean(np.concatenate(strata), 0.25))
 
 
 def iqm_interval(*strata: Values, confidence: float = 0.95, resamples: int = 2000) -> Interval:
-    """Stratified percentile bootstrap of :func:`iqm`: seeds are drawn anew within each stratum (task or setting)."""
+    """Return the stratified percentile bootstrap of :func:`iqm`.
+
+    Runs are drawn anew within each stratum (task or setting). Not a number if a stratum has a
+    single run.
+    """
     arrays = [np.asarray(values, dtype=float) for values in strata]
-    if any(len(values) < 2 for values in arrays) or np.ptp(np.concatenate(arrays)) == 0:
+    if any(len(values) < 2 for values in arrays):
+        return NO_INTERVAL
+    if np.ptp(np.concatenate(arrays)) == 0:
         return iqm(*arrays), iqm(*arrays)
 
     def statistic(*samples: np.ndarray, axis: int) -> np.ndarray:
@@ -61,12 +167,11 @@ def iqm_interval(*strata: Values, confidence: float = 0.95, resamples: int = 200
 
 
 def mcnemar(rescues: int, regressions: int) -> float:
-    """Exact two-sided p-value that paired successes and failures differ only by chance.
+    """Return the exact two-sided p-value that paired outcomes differ only by chance.
 
     Args:
-        rescues: episodes that the controller fails and the residual solves.
-        regressions: episodes that the controller solves and the residual fails.
-
+        rescues: Episodes that the controller fails and the residual solves.
+        regressions: Episodes that the controller solves and the residual fails.
     """
     changed = rescues + regressions
     return float(stats.binomtest(rescues, changed, 0.5).pvalue) if changed else 1.0

@@ -1,4 +1,4 @@
-"""A video of controller and residual on the same frozen episode, side by side."""
+"""Film controller and residual on the same frozen episode, side by side."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ import torch
 from matplotlib.font_manager import findfont
 from PIL import Image, ImageDraw, ImageFont
 from tensordict.nn import TensorDictModuleBase
-from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from rrl.keys import SUCCESS
-from rrl.slot_random import seed_env
 
 from ..environment import EnvironmentFactory
-from .episodes import Comparison, zero_residual
+from .episodes import Comparison
+from .rollout import isolated_generators, rollout, zero_residual
+
+__all__ = ["Renderer", "choose_episode", "record", "render_comparison"]
 
 Renderer = Callable[..., np.ndarray]
 """``renderer(base_env, states, width=..., height=...)`` gives frames ``[T, height, width, 3]``, uint8."""
@@ -29,15 +30,15 @@ HOLD_SECONDS = 1.0
 
 
 def choose_episode(comparison: Comparison, wanted: str | int) -> int:
-    """The number of the episode to show.
+    """Return the number of the episode to show.
 
     Args:
-        comparison: the episodes to choose from.
-        wanted: ``"rescue"``, the first one that the controller fails and the residual solves (episode 0 if there is
-            none), or a number.
+        comparison: The episodes to choose from.
+        wanted: ``"rescue"``, the first one that the controller fails and the residual solves
+            (episode 0 if there is none), or a number.
 
     Raises:
-        ValueError: anything else.
+        ValueError: If ``wanted`` is anything else.
     """
     if wanted == "rescue":
         return int(comparison.rescues[0]) if len(comparison.rescues) else 0
@@ -57,27 +58,29 @@ def render_comparison(
     out: Path,
     settings: Mapping[str, Any],
 ) -> Path:
-    """Run one frozen episode twice, under the controller alone and under the residual, and film both.
+    """Play one frozen episode under the controller alone and under the residual, and film both.
 
     Args:
-        environment: the scenario.
-        policy: the residual policy.
-        renderer: makes the frames from what the bare environment's ``physics_state()`` gave at every step.
-        seed: of the episode.
-        out: the file; its ending decides the format (``.mp4``, ``.gif``). The middle frame is written beside it as PNG.
-        settings: ``width``, ``height`` of each half in pixels, ``fps``.
+        environment: The scenario.
+        policy: The residual policy.
+        renderer: Makes frames of what the bare environment's ``physics_state()`` gave.
+        seed: Seed of the episode.
+        out: The file; its ending decides the format (``.mp4``, ``.gif``). The last frame is
+            written beside it as PNG.
+        settings: ``width`` and ``height`` of each half in pixels, ``fps``.
 
     Raises:
-        RuntimeError: if this machine cannot render.
+        RuntimeError: If this machine cannot render.
     """
     halves = []
     for title, run_policy in (("controller alone", None), ("controller + residual", policy)):
         env = environment.make(1)
-        states, solved = record(
-            env, run_policy or zero_residual(env), seed, environment.max_episode_steps
-        )
+        chosen = run_policy or zero_residual(env)
+        states, solved = record(env, chosen, seed, environment.max_episode_steps)
         size = {"width": settings["width"], "height": settings["height"]}
-        halves.append(_label(renderer(env.base_env, states, **size), title, solved))
+        with isolated_generators(seed):
+            frames = renderer(env.base_env, states, **size)
+        halves.append(_label(frames, title, solved))
         env.close()
     frames = _side_by_side(halves)
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -87,28 +90,20 @@ def render_comparison(
     return out
 
 
-@torch.no_grad()
 def record(
     env: Any, policy: TensorDictModuleBase, seed: int, max_steps: int
 ) -> tuple[list[np.ndarray], list[bool]]:
-    """Run one episode; the physics states ``[T + 1]`` and whether each was a success."""
-    seed_env(env, seed)
+    """Play one episode; return the physics states ``[T + 1]`` and whether each was a success."""
     states, solved = [], []
-    with set_exploration_type(ExplorationType.DETERMINISTIC):
-        td = env.reset()
-        for _ in range(max_steps):
+    with isolated_generators(seed):
+        for td, _ in rollout(env, policy, seed, max_steps):
             states.append(np.array(env.base_env.physics_state()))
             solved.append(bool(td.get(SUCCESS, torch.zeros(1)).any()))
-            td = step_mdp(env.step(policy(td)), exclude_done=False)
-            if td["done"].all():
-                break
-    states.append(np.array(env.base_env.physics_state()))
-    solved.append(bool(td.get(SUCCESS, torch.zeros(1)).any()))
     return states, solved
 
 
 def _label(frames: np.ndarray, title: str, solved: Sequence[bool]) -> np.ndarray:
-    """Write the title into every frame, and the outcome as soon as it stands."""
+    """Write the title into every frame, and the outcome once it is known."""
     height = frames.shape[1]
     font = ImageFont.truetype(findfont("DejaVu Sans"), max(12, height // 22))
     bar = height // 12
@@ -120,9 +115,9 @@ def _label(frames: np.ndarray, title: str, solved: Sequence[bool]) -> np.ndarray
         draw.text((bar / 3, bar / 2), title, font=font, fill="white", anchor="lm")
         ended = i == len(frames) - 1
         if solved[i] or ended:
-            text, colour = ("inserted", PASS) if solved[i] else ("failed", FAIL)
+            text, color = ("solved", PASS) if solved[i] else ("failed", FAIL)
             width = draw.textlength(text, font=font) + bar / 1.5
-            draw.rectangle((image.width - width, 0, image.width, bar), fill=colour)
+            draw.rectangle((image.width - width, 0, image.width, bar), fill=color)
             draw.text(
                 (image.width - width / 2, bar / 2), text, font=font, fill="white", anchor="mm"
             )

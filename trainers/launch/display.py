@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -101,22 +100,17 @@ class Display:
 
 
 def latest(run_dir: Path) -> tuple[int, float | None]:
-    """Environment steps so far, and the followed scenario's last success if it is near the end of ``metrics.csv``."""
-    steps, success = 0, dict[str, tuple[int, float]]()
+    """Return the steps so far, and the last followed success near the end of ``metrics.csv``."""
+    steps, success = 0, None
     for line in _last_lines(run_dir / METRICS):
         cells = line.split(",")
-        if len(cells) != 4 or not cells[0].isdigit():
+        if len(cells) != 3 or not cells[0].isdigit():
             continue
         steps = int(cells[0])
-        group, _, rest = cells[2].partition("/")
-        followed = (
-            success.get(cells[1], (-1, 0.0))[0] < steps
-        )  # the first scenario of an evaluation
-        if followed and group == metrics.EVALUATION and rest.endswith("/success"):
-            success[cells[1]] = steps, float(cells[3])
-    last = max((at for at, _ in success.values()), default=0)
-    values = [value for at, value in success.values() if at == last]
-    return steps, float(np.mean(values)) if values else None
+        group, _, rest = cells[1].partition("/")
+        if group == metrics.EVALUATION and rest.endswith("/success"):
+            success = float(cells[2])
+    return steps, success
 
 
 def _last_lines(path: Path) -> list[str]:

@@ -1,6 +1,6 @@
-"""Where metrics go: a tidy CSV file, TensorBoard, Weights & Biases. All write below the run's directory."""
+"""Where metrics go: CSV, TensorBoard, Weights & Biases, all below the run's directory."""
 
-from .base import Guarded, MetricsLogger, flatten
+from .base import Guarded, MetricsLogger
 from .csv_file import CSVLogger, read_metrics
 from .tensorboard import TensorBoardLogger
 from .weights_and_biases import WandbLogger
@@ -11,6 +11,5 @@ __all__ = [
     "MetricsLogger",
     "TensorBoardLogger",
     "WandbLogger",
-    "flatten",
     "read_metrics",
 ]

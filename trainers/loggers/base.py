@@ -9,9 +9,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from .metrics import Values
+
+__all__ = ["Guarded", "MetricsLogger", "Rows"]
 
 _log = logging.getLogger(__name__)
 
@@ -22,50 +22,53 @@ Rows = Sequence[Sequence[Any]]
 class MetricsLogger(ABC):
     """A sink for metrics and media.
 
-    ``start`` is called once with the run's directory, its configuration and the environment step from which the run
-    goes on (0 for a new run); after it ``log`` is called with increasing steps.
+    ``start`` is called once, then ``log`` with steps that never fall.
     """
 
     @abstractmethod
-    def start(
-        self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int
-    ) -> None:
-        """Open the sink; forget what was logged after ``env_steps``."""
+    def start(self, run_dir: Path, config: Mapping[str, Any], env_steps: int) -> None:
+        """Open the sink and forget what was logged after ``env_steps``.
+
+        Args:
+            run_dir: The run's directory.
+            config: The run's configuration.
+            env_steps: Environment step from which the run goes on; 0 for a new run.
+        """
 
     @abstractmethod
     def log(self, values: Values, env_steps: int) -> None:
-        """Record one value per seed for every metric."""
+        """Record metrics."""
 
-    def log_file(self, name: str, path: Path, env_steps: int) -> None:  # noqa: B027 - not every sink shows media
+    def log_file(self, name: str, path: Path, env_steps: int) -> None:  # noqa: B027 - optional
         """Record a picture (``.png``) or a video (``.mp4``, ``.gif``)."""
 
-    def log_table(self, name: str, columns: Sequence[str], rows: Rows, env_steps: int) -> None:  # noqa: B027 - nor tables
+    def log_table(  # noqa: B027 - optional
+        self, name: str, columns: Sequence[str], rows: Rows, env_steps: int
+    ) -> None:
         """Record a table."""
 
-    def flush(self) -> None:  # noqa: B027 - not every sink holds anything back
+    def flush(self) -> None:  # noqa: B027 - optional
         """Put on disk what was logged; called before every checkpoint."""
 
-    def finish(self) -> None:  # noqa: B027 - not every sink needs closing
+    def finish(self) -> None:  # noqa: B027 - optional
         """Flush and close."""
 
 
 class Guarded(MetricsLogger):
-    """A logger whose failure is said once and does not stop the run.
+    """A logger whose failure is reported once and does not stop the run.
 
     Args:
-        logger: the logger; left alone after its first error.
+        logger: The logger; not used any more after its first error.
     """
 
     def __init__(self, logger: MetricsLogger) -> None:
         self.logger = logger
         self._state: str = "idle"
 
-    def start(
-        self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int
-    ) -> None:
+    def start(self, run_dir: Path, config: Mapping[str, Any], env_steps: int) -> None:
         """Open the sink."""
         self._state = "running"
-        self._try("start", run_dir, config, seeds, env_steps)
+        self._try("start", run_dir, config, env_steps)
 
     def log(self, values: Values, env_steps: int) -> None:
         """Record metrics."""
@@ -104,16 +107,3 @@ class Guarded(MetricsLogger):
                 type(error).__name__,
                 error,
             )
-
-
-def flatten(values: Values, seeds: Sequence[int]) -> dict[str, float]:
-    """One scalar per metric: the mean over seeds; for a stack each seed beside it, as ``seed_<n>/<metric>``.
-
-    Dashboards make a section of every first part of a name: the means stay together, and so does each seed.
-    """
-    out = {}
-    for metric, per_seed in values.items():
-        out[metric] = float(np.mean(per_seed))
-        if len(seeds) > 1:
-            out |= {f"seed_{s}/{metric}": float(v) for s, v in zip(seeds, per_seed, strict=True)}
-    return out

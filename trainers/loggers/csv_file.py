@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -12,39 +13,37 @@ from ..storage.run_files import METRICS
 from .base import MetricsLogger
 from .metrics import STEP_AXIS, Values
 
+__all__ = ["CSVLogger", "read_metrics"]
+
+Row = tuple[int, str, float]
+
 
 class CSVLogger(MetricsLogger):
-    """``metrics.csv`` with columns ``env_steps, seed, metric, value``: the run's own record, read by the plots."""
+    """``metrics.csv`` with columns ``env_steps, metric, value``: the run's own record."""
 
-    FILE = METRICS
-
-    def start(
-        self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int
-    ) -> None:
+    def start(self, run_dir: Path, config: Mapping[str, Any], env_steps: int) -> None:
         """Open the file; a resumed run keeps the rows up to ``env_steps``."""
-        path = run_dir / self.FILE
-        self.seeds = seeds
-        rows = _rows_until(path, env_steps) if env_steps else []
+        path = run_dir / METRICS
+        rows = [row for row in _whole_rows(path) if row[0] <= env_steps] if env_steps else []
         partial = path.with_suffix(".partial")
-        with partial.open("w", newline="") as file:
+        with partial.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
-            writer.writerow([STEP_AXIS, "seed", "metric", "value"])
+            writer.writerow([STEP_AXIS, "metric", "value"])
             writer.writerows(rows)
             file.flush()
             os.fsync(file.fileno())
         partial.replace(path)
-        self.file: TextIO = path.open("a", newline="")
+        self.file: TextIO = path.open("a", newline="", encoding="utf-8")
         self.writer = csv.writer(self.file)
 
     def log(self, values: Values, env_steps: int) -> None:
-        """Append one row per seed and metric, and hand them to the operating system at once."""
-        for metric, per_seed in values.items():
-            for seed, value in zip(self.seeds, per_seed, strict=True):
-                self.writer.writerow([env_steps, seed, metric, repr(float(value))])
+        """Append one row per metric and pass them to the operating system at once."""
+        for metric, value in values.items():
+            self.writer.writerow([env_steps, metric, repr(float(value))])
         self.file.flush()
 
     def flush(self) -> None:
-        """Have the disk hold all rows."""
+        """Fsync the file."""
         os.fsync(self.file.fileno())
 
     def finish(self) -> None:
@@ -52,21 +51,26 @@ class CSVLogger(MetricsLogger):
         self.file.close()
 
 
-def read_metrics(run_dir: Path) -> dict[str, dict[int, list[tuple[int, float]]]]:
-    """Read what is written of a run's ``metrics.csv``: metric, then seed, then ``(env_steps, value)`` in order."""
-    out: dict[str, dict[int, list[tuple[int, float]]]] = {}
-    for env_steps, seed, metric, value in _whole_rows(run_dir / CSVLogger.FILE):
-        out.setdefault(metric, {}).setdefault(int(seed), []).append((int(env_steps), float(value)))
+def read_metrics(run_dir: Path) -> dict[str, list[tuple[int, float]]]:
+    """Read a run's ``metrics.csv``: for every metric ``(env_steps, value)`` in order.
+
+    Raises:
+        FileNotFoundError: If there is none.
+    """
+    path = run_dir / METRICS
+    if not path.is_file():
+        raise FileNotFoundError(f"{run_dir}: expected {METRICS}, got none: is the CSV logger on?")
+    out: dict[str, list[tuple[int, float]]] = {}
+    for env_steps, metric, value in _whole_rows(path):
+        out.setdefault(metric, []).append((env_steps, value))
     return out
 
 
-def _rows_until(path: Path, env_steps: int) -> list[list[str]]:
-    """Whole rows up to ``env_steps``."""
-    return [row for row in _whole_rows(path) if int(row[0]) <= env_steps] if path.exists() else []
-
-
-def _whole_rows(path: Path) -> list[list[str]]:
-    """All rows but the header, and one torn by a crash or not yet written to its end."""
-    text = path.read_text()
-    rows = csv.reader(text[: text.rfind("\n") + 1].splitlines())
-    return [row for row in rows if len(row) == 4 and row[0].isdigit()]
+def _whole_rows(path: Path) -> Iterator[Row]:
+    """Yield the rows that can be read: not the header, nor one that a crash has torn."""
+    text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+    for line in text[: text.rfind("\n") + 1].splitlines():
+        env_steps, _, rest = line.partition(",")
+        metric, _, value = rest.rpartition(",")
+        with contextlib.suppress(ValueError):
+            yield int(env_steps), metric.strip('"'), float(value)

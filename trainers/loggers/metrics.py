@@ -1,36 +1,54 @@
-"""The names of all metrics. A name is ``group/metric``; every value is one number per seed over ``env_steps``."""
+"""The names of all metrics: ``group/metric``, one number over ``env_steps``."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+
+__all__ = [
+    "ACTION",
+    "EVALUATION",
+    "FINAL",
+    "LOSS",
+    "SAFETY",
+    "STEP_AXIS",
+    "TIME",
+    "TRAIN",
+    "Values",
+    "evaluation",
+    "name",
+]
 
 STEP_AXIS = "env_steps"
-"""Environment steps of one seed: the common horizontal axis."""
+"""Environment steps: the common horizontal axis."""
 
-Values = Mapping[str, Sequence[float]]
-"""Metric name to one value per seed."""
+Values = Mapping[str, float]
+"""Metric name to value."""
 
 TRAIN = "train"
-"""What the exploring policy experiences: ``train/return``, ``train/success``, ``train/reward_terms/<term>``."""
+"""What the exploring policy experiences: ``train/reward``, ``train/success``, ``train/reward_terms/<term>``."""
 
 LOSS = "loss"
-"""What the updates report: ``loss/loss_critic``, ``loss/q_value``, ``loss/target_value``, ``loss/loss_actor``."""
+"""What the updates report: ``loss/loss_critic``, ``loss/q_value``, ``loss/target_value``."""
 
 EVALUATION = "eval"
-"""Frozen episodes, by scenario: ``eval/<scenario>/success``, ``.../rescues``, ``.../controller_success``."""
+"""Followed episodes during training: ``eval/<scenario>/success``, ``.../rescues``,
+``.../controller_success``, ``.../metrics/<name>``, ``.../metrics/<name>_p99``."""
+
+FINAL = "final"
+"""The same of the final episodes, of every scenario: ``final/<scenario>/success``."""
 
 ACTION = "action"
 """The split of work: ``action/residual_rms``, ``action/residual_share``, ``action/clip_fraction``."""
 
 SAFETY = "safety"
-"""Share of the training steps in which a limit changed the action: ``safety/workspace``, ``safety/step``,
-``safety/force``; in evaluations ``eval/<scenario>/safety_<limit>``."""
+"""Share of the training steps in which a limit changed the action: ``safety/workspace``,
+``safety/step``, ``safety/force``; in evaluations ``eval/<scenario>/safety_<limit>``."""
 
 TIME = "time"
-"""Seconds since the last row: ``time/collect`` (waiting, where it overlaps), ``store``, ``sample``, ``update``,
-``evaluate``, ``checkpoint``, ``log``; ``sample`` and ``compile`` are parts of ``update``. With ``trainer.profile`` also
-the parts of a collection, ``time/collect/<part>``, or of ``time/beside`` where a second process collects.
-"""
+"""Seconds since the last row: ``time/collect`` (waiting, where it overlaps), ``store``, ``sample``,
+``update``, ``evaluate``, ``checkpoint``, ``log``; ``sample`` and ``compile`` are parts of
+``update``. With ``trainer.profile`` also the parts of a collection, ``time/collect/<part>``, or of
+``time/beside`` where a second process collects."""
 
 
 def name(group: str, *parts: str) -> str:
@@ -38,6 +56,6 @@ def name(group: str, *parts: str) -> str:
     return "/".join((group, *parts))
 
 
-def evaluation(scenario: str, summary: Mapping[str, float]) -> dict[str, float]:
-    """Name the entries of one evaluation's summary."""
-    return {name(EVALUATION, scenario, key): value for key, value in summary.items()}
+def evaluation(group: str, scenario: str, summary: Mapping[str, float]) -> dict[str, float]:
+    """Name the entries of an evaluation's summary; ``group`` is ``EVALUATION`` or ``FINAL``."""
+    return {name(group, scenario, key): value for key, value in summary.items()}

@@ -6,6 +6,8 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+__all__ = ["Stopwatch"]
+
 
 class Stopwatch:
     """Adds up the seconds spent in named sections since the last :meth:`lap`."""

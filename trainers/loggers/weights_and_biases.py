@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import os
+import re
 import secrets
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,32 +12,40 @@ from typing import Any
 
 from ..storage.files import write_atomically
 from ..storage.versions import versions
-from .base import MetricsLogger, Rows, flatten
+from .base import MetricsLogger, Rows
 from .metrics import STEP_AXIS, Values
 
+__all__ = ["WandbLogger"]
+
 _log = logging.getLogger(__name__)
+
+IDENTITY = "wandb_id"
+IGNORED = ("WANDB_DIR", "WANDB_JOB_TYPE", "WANDB_NAME", "WANDB_PROJECT", "WANDB_RESUME")
+IGNORED += ("WANDB_RUN_GROUP", "WANDB_RUN_ID", "WANDB_TAGS")
+"""W&B's environment variables that the configuration stands above."""
 
 
 class WandbLogger(MetricsLogger):
     """A Weights & Biases run below ``wandb/``, offline unless asked otherwise.
 
-    Every metric is drawn over ``env_steps``, in a section of the first part of its name. The configuration is stored
-    with the versions of the packages under ``versions``. The run's id is kept in ``wandb_id``, so that a resumed run
-    continues the same W&B run. ``wandb sync`` uploads an offline run later.
+    Every metric is drawn over ``env_steps``, in a section of the first part of its name. The
+    configuration is stored with the package versions under ``versions``. The run's id is kept in
+    ``wandb_id``, so that a resumed run continues the same W&B run. ``wandb sync`` uploads an
+    offline run later. W&B's own ``WANDB_MODE`` and ``WANDB_DISABLED`` stand above ``online``.
 
     Args:
         project: W&B project.
-        online: send to the server while training; needs ``wandb login``.
-        group: what the run is compared with, for instance the experiment.
-        job_type: its part in the comparison, for instance the arm.
-        tags: labels of the run.
-        name: the run's display name; the name of its directory when left out.
-
+        online: Send to the server while training; needs ``wandb login``.
+        group: What the run is compared with, for instance the experiment. None: the directory of
+            the runs that differ by the seed alone.
+        job_type: Its part in the comparison, for instance the arm.
+        tags: Labels of the run.
+        name: The run's display name. None: the name of its directory.
     """
 
     CONNECT_SECONDS = 30.0
     FINISH_SECONDS = 120.0
-    """How long the end waits for a server that does not answer; what is left stays on disk for ``wandb sync``."""
+    """How long the end waits for a server that does not answer; the rest stays on disk."""
 
     def __init__(
         self,
@@ -49,23 +59,21 @@ class WandbLogger(MetricsLogger):
         self.project, self.online, self.name = project, online, name
         self.group, self.job_type, self.tags = group, job_type, list(tags)
 
-    def start(
-        self, run_dir: Path, config: Mapping[str, Any], seeds: Sequence[int], env_steps: int
-    ) -> None:
+    def start(self, run_dir: Path, config: Mapping[str, Any], env_steps: int) -> None:
         """Start or continue the W&B run."""
         import wandb
 
-        self.seeds = seeds
-        identity = run_dir / "wandb_id"
+        identity = run_dir / IDENTITY
         if not identity.exists():
             write_atomically(identity, secrets.token_hex(4))
+        group, name = _names(run_dir)
         arguments: dict[str, Any] = {
             "project": self.project,
-            "group": self.group,
+            "group": self.group or group,
             "job_type": self.job_type,
             "tags": self.tags,
-            "name": self.name or run_dir.name,
-            "id": identity.read_text().strip(),
+            "name": self._seeded(self.name, run_dir) if self.name else name,
+            "id": identity.read_text(encoding="utf-8").strip(),
             "resume": "allow",
             "dir": str(run_dir),
             "config": {**config, "versions": versions()},
@@ -76,10 +84,11 @@ class WandbLogger(MetricsLogger):
                 finish_timeout=self.FINISH_SECONDS,
             ),
         }
+        mode = self._mode()
         try:
-            self.run = wandb.init(mode="online" if self.online else "offline", **arguments)
+            self.run = wandb.init(mode=mode, **arguments)
         except Exception as error:
-            if not self.online:
+            if mode != "online":
                 raise
             _log.warning(
                 "W&B cannot be reached (%s); logging offline, `wandb sync` uploads it later", error
@@ -92,7 +101,7 @@ class WandbLogger(MetricsLogger):
 
     def log(self, values: Values, env_steps: int) -> None:
         """Log one history row."""
-        self.run.log({STEP_AXIS: env_steps, **flatten(values, self.seeds)})
+        self.run.log({STEP_AXIS: env_steps, **values})
 
     def log_file(self, name: str, path: Path, env_steps: int) -> None:
         """Log a picture or a video."""
@@ -105,11 +114,43 @@ class WandbLogger(MetricsLogger):
         """Log a table."""
         import wandb
 
-        table = wandb.Table(
-            columns=list(columns), data=[list(row) for row in rows], allow_mixed_types=True
-        )
+        data = [list(row) for row in rows]
+        table = wandb.Table(columns=list(columns), data=data, allow_mixed_types=True)
         self.run.log({STEP_AXIS: env_steps, name: table})
 
     def finish(self) -> None:
         """Finish the run."""
         self.run.finish()
+
+    def _mode(self) -> str:
+        """Choose W&B's mode, and say what its environment variables change or do not change."""
+        mode = "online" if self.online else "offline"
+        asked = os.environ.get("WANDB_MODE", "").lower()
+        if os.environ.get("WANDB_DISABLED", "").lower() in ("1", "true", "yes", "on"):
+            asked = "disabled"
+        asked = {"dryrun": "offline", "run": "online"}.get(asked, asked)
+        if asked and asked != mode:
+            _log.warning(
+                "W&B: the environment asks for %s, which stands above logger.wandb.online=%s",
+                asked,
+                str(self.online).lower(),
+            )
+        if ignored := [name for name in IGNORED if os.environ.get(name)]:
+            _log.warning("W&B: %s not used: set logger.wandb instead", ", ".join(ignored))
+        return asked or mode
+
+    @staticmethod
+    def _seeded(name: str, run_dir: Path) -> str:
+        return f"{name} {run_dir.name}" if _is_seed(run_dir) else name
+
+
+def _names(run_dir: Path) -> tuple[str, str]:
+    """Group and name of a run by its directory: ``<group>/seed-3``, or a run by itself."""
+    if not _is_seed(run_dir):
+        return run_dir.name, run_dir.name
+    group = run_dir.resolve().parent.name
+    return group, f"{group} {run_dir.name}"
+
+
+def _is_seed(run_dir: Path) -> bool:
+    return re.fullmatch(r"seed-\d+", run_dir.name) is not None

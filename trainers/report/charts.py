@@ -1,8 +1,8 @@
-"""Interactive charts of several runs: one colour a run, thin lines for seeds, a band for the mean's interval."""
+"""Interactive charts: one color a group of runs, thin lines for runs, a band for the interval."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,192 +12,136 @@ from plotly.subplots import make_subplots
 from ..loggers import metrics
 from .curves import Curve, Floats
 from .panels import Panel
-from .runs import Run
+from .runs import Group
 
-COLOURS = ("#2f7fc1", "#d9622b", "#3a9d6a", "#9467bd", "#c59a1a", "#c2508b", "#4fa3a5", "#8c6d5a")
-"""Readable on white and on black, apart for the colour-blind at the front."""
+__all__ = ["curves", "time_split"]
 
-CONTROLLER_COLOUR = "#8a929c"
-COLUMNS = 2
-ROW_HEIGHT = 330
+COLORS = ("#2f7fc1", "#d9622b", "#3a9d6a", "#9467bd", "#c59a1a", "#c2508b", "#4fa3a5", "#8c6d5a")
+"""Readable on white and on black; the first ones differ for the color-blind."""
+CONTROLLER_COLOR = "#8a929c"
+COLUMNS, ROW_HEIGHT = 2, 330
 MAX_POINTS = 120
 """Of one line; longer records are averaged in blocks."""
 
 
-def curves(runs: Sequence[Run], panels: Sequence[Panel]) -> go.Figure | None:
-    """A grid of panels over environment steps; those that no run has anything for are left out.
-
-    Returns:
-        The figure, or None if nothing is left.
-    """
-    shown = [p for p in panels if any(run.curve(p.metric) for run in runs)]
+def curves(groups: Sequence[Group], panels: Sequence[Panel]) -> go.Figure | None:
+    """Draw panels over environment steps; None if no group logged any of them."""
+    shown = [panel for panel in panels if any(group.curve(panel.metric) for group in groups)]
     if not shown:
         return None
     rows = -(-len(shown) // COLUMNS)
-    figure = make_subplots(
-        rows, COLUMNS, subplot_titles=[p.title for p in shown], vertical_spacing=0.28 / rows
-    )
+    titles = [panel.title for panel in shown]
+    figure = make_subplots(rows, COLUMNS, subplot_titles=titles, vertical_spacing=0.28 / rows)
     named: set[str] = set()
     for i, panel in enumerate(shown):
-        place = {"row": i // COLUMNS + 1, "col": i % COLUMNS + 1}
-        traces = _traces(runs, panel)
+        cell = {"row": i // COLUMNS + 1, "col": i % COLUMNS + 1}
+        traces = _traces(groups, panel)
         for trace in traces:
             trace.showlegend = trace.name == trace.legendgroup and trace.name not in named
             named.add(trace.name)
-            figure.add_trace(trace, **place)
-        axis = "environment steps of one seed" if i >= len(shown) - COLUMNS else None
-        figure.update_xaxes(title={"text": axis, "font_size": 12}, **place)
-        figure.update_yaxes(range=_view(traces), **place)
+            figure.add_trace(trace, **cell)
+        axis = "environment steps" if i >= len(shown) - COLUMNS else None
+        figure.update_xaxes(title={"text": axis, "font_size": 12}, **cell)
+        figure.update_yaxes(range=_view(traces), **cell)
     return _styled(figure, rows * ROW_HEIGHT + 90)
 
 
-def time_split(runs: Sequence[Run]) -> go.Figure | None:
-    """Seconds that every run spent in each part of the loop; None if no run logged them."""
-    sections = list(dict.fromkeys(name for run in runs for name in run.metrics_of(metrics.TIME)))
-    if not sections:
+def time_split(groups: Sequence[Group]) -> go.Figure | None:
+    """Draw the seconds of each part of the loop, mean of the runs; None if none was logged."""
+    parts = list(dict.fromkeys(name for group in groups for name in group.metrics_of(metrics.TIME)))
+    if not parts:
         return None
-    parts = {name.partition("/")[2]: [_total(run, name) for run in runs] for name in sections}
-    return _stacked([run.label for run in runs], parts, "seconds")
-
-
-def _stacked(labels: Sequence[str], parts: Mapping[str, Sequence[float]], title: str) -> go.Figure:
-    """Horizontal bars, one per label, made of named parts."""
-    figure = go.Figure(
-        [go.Bar(y=list(labels), x=list(x), name=name, orientation="h") for name, x in parts.items()]
-    )
-    figure.update_layout(
-        barmode="stack", xaxis_title=title, yaxis_autorange="reversed", legend_traceorder="normal"
-    )
+    labels = [group.label for group in groups]
+    bars = [
+        go.Bar(y=labels, x=[_seconds(g, part) for g in groups], name=part, orientation="h")
+        for part in parts
+    ]
+    figure = go.Figure(bars)
+    figure.update_layout(barmode="stack", xaxis_title="seconds", yaxis_autorange="reversed")
+    figure.update_layout(legend_traceorder="normal")
     return _styled(figure, 160 + 34 * len(labels))
 
 
+def _seconds(group: Group, part: str) -> float:
+    name = metrics.name(metrics.TIME, part)
+    return sum(v for run in group.runs for _, v in run.record.get(name, ())) / len(group.runs)
+
+
 def _styled(figure: go.Figure, height: int) -> go.Figure:
+    legend = {"orientation": "h", "yref": "container", "y": 0.995, "yanchor": "top", "x": 0}
+    margin = {"l": 56, "r": 16, "t": 70, "b": 48}
     figure.update_annotations(font_size=14)
-    figure.update_layout(
-        height=height,
-        hovermode="closest",
-        template="none",
-        legend={
-            "orientation": "h",
-            "yref": "container",
-            "y": 0.995,
-            "yanchor": "top",
-            "x": 0,
-            "xanchor": "left",
-        },
-        margin={"l": 56, "r": 16, "t": 70, "b": 48},
-    )
+    figure.update_layout(height=height, hovermode="closest", template="none", margin=margin)
+    figure.update_layout(legend=legend | {"xanchor": "left"})
     return figure
 
 
 def _view(traces: Sequence[go.Scatter]) -> list[float]:
-    """What the vertical axis shows at first: all lines, but not all of a band that few seeds leave wide."""
+    """The first view holds all lines, but not all of a band that few runs leave wide."""
     lines = np.concatenate([trace.y for trace in traces if trace.fill is None])
     low, high = float(np.nanmin(lines)), float(np.nanmax(lines))
     room = 0.12 * (high - low) or 0.1 * abs(high) or 1.0
     return [low - room, high + room]
 
 
-def _traces(runs: Sequence[Run], panel: Panel) -> list[go.Scatter]:
-    found = [(k, run, run.curve(panel.metric)) for k, run in enumerate(runs)]
-    lines = [(k, run, c.scaled(panel.unit).thinned(MAX_POINTS)) for k, run, c in found if c]
-    end = max(c.steps[-1] for _, _, c in lines)
-    low, high = (bound * panel.unit for bound in panel.bounds)
-    traces = [
-        trace
-        for k, run, c in lines
-        for trace in _run_traces(
-            run, _to_the_end(c, end), COLOURS[k % len(COLOURS)], lambda x: np.clip(x, low, high)
-        )
-    ]
-    return traces + (_controllers(runs, panel, end) if panel.controller else [])
-
-
-def _run_traces(
-    run: Run, c: Curve, colour: str, clip: Callable[[Floats], Floats]
-) -> list[go.Scatter]:
-    dash = "dot" if run.config["arm"] == "controller" else "solid"
-    meta = {"Run": run.label}
-    mean = _line(
-        c.steps, c.mean, run.label, run.label, {"color": colour, "width": 2.5, "dash": dash}
-    )
-    mean.update(meta=meta | {"Show": "mean"}, zorder=1)
-    if len(c.seeds) < 2:
-        return [mean]
-    low, high = map(clip, c.band())
-    band = _line(
-        np.append(c.steps, c.steps[::-1]), np.append(low, high[::-1]), "", run.label, {"width": 0}
-    )
-    band.update(
-        fill="toself", fillcolor=_transparent(colour, 0.16), hoverinfo="skip", hovertemplate=None
-    )
-    band.update(meta=meta | {"Show": "95 % band"})
-    thin = {"color": _transparent(colour, 0.45), "width": 0.9}
-    seeds = [
-        _line(
-            c.steps,
-            values,
-            f"{run.label}, seed {seed}",
-            run.label,
-            thin,
-            meta=meta | {"Show": f"seed {seed}"},
-        )
-        for seed, values in zip(c.seeds, c.values, strict=True)
-    ]
-    return [mean, band, *seeds]
-
-
-def _controllers(runs: Sequence[Run], panel: Panel, end: float) -> list[go.Scatter]:
-    """The controller's level, once for all runs that it is the same for; reinforcement learning alone has none."""
-    groups: dict[str, list[Run]] = {}
-    for run in runs:
-        if run.config["arm"] == "residual" and run.curve(panel.controller):
-            groups.setdefault(
-                repr([run.config.get(k) for k in ("env", "controller", "disturbance")]), []
-            ).append(run)
+def _traces(groups: Sequence[Group], panel: Panel) -> list[go.Scatter]:
+    found = [(k, group, group.curve(panel.metric)) for k, group in enumerate(groups)]
+    lines = [(k, group, curve) for k, group, curve in found if curve]
+    end = max(curve.steps[-1] for _, _, curve in lines)
     traces = []
-    for group in groups.values():
-        level = max(group, key=lambda run: run.env_steps).curve(panel.controller)
-        assert level is not None
-        c = _to_the_end(level.scaled(panel.unit), end)
-        name = (
-            "controller alone"
-            if len(groups) == 1
-            else f"controller alone ({', '.join(r.label for r in group)})"
-        )
-        style = {"color": CONTROLLER_COLOUR, "width": 2, "dash": "dash"}
-        traces.append(_line(c.steps, c.mean, name, name, style, meta={"Show": "controller"}))
+    for k, group, curve in lines:
+        traces += _group_traces(group, panel, curve.until(end), COLORS[k % len(COLORS)])
+    return traces + (_controllers(groups, panel, end) if panel.controller else [])
+
+
+def _group_traces(group: Group, panel: Panel, curve: Curve, color: str) -> list[go.Scatter]:
+    label, meta = group.label, {"Run": group.label}
+    curve = curve if panel.counted else curve.thinned(MAX_POINTS)
+    steps, scale = curve.steps, panel.scale
+    dash = "dot" if group.config.get("arm") == "controller" else "solid"
+    style = {"color": color, "width": 2.5, "dash": dash}
+    mean = _line(steps, curve.mean * scale, label, label, style)
+    mean.update(meta=meta | {"Show": "mean"}, zorder=1)
+    traces = [mean]
+    if bounds := curve.band(group.followed_episodes if panel.counted else None, panel.bounds):
+        low, high = (bound * scale for bound in bounds)
+        there_and_back = np.append(steps, steps[::-1])
+        band = _line(there_and_back, np.append(low, high[::-1]), "", label, {"width": 0})
+        band.update(fill="toself", fillcolor=_transparent(color, 0.16), hoverinfo="skip")
+        band.update(hovertemplate=None, meta=meta | {"Show": "95 % band"})
+        traces.append(band)
+    thin = {"color": _transparent(color, 0.45), "width": 0.9}
+    for seed, row in zip(curve.seeds, curve.values if len(curve.seeds) > 1 else (), strict=False):
+        line = _line(steps, row * scale, f"{label}, seed {seed}", label, thin)
+        traces.append(line.update(meta=meta | {"Show": f"seed {seed}"}))
     return traces
 
 
-def _line(
-    x: Floats, y: Floats, name: str, group: str, style: dict[str, Any], **entries: Any
-) -> go.Scatter:
+def _controllers(groups: Sequence[Group], panel: Panel, end: float) -> list[go.Scatter]:
+    """The controller's level, once for all groups that it is the same for."""
+    alike: dict[str, list[Group]] = {}
+    for group in groups:
+        if group.config.get("arm") == "residual" and group.curve(panel.controller):
+            key = repr([group.config.get(k) for k in ("env", "controller", "disturbance")])
+            alike.setdefault(key, []).append(group)
+    traces = []
+    for same in alike.values():
+        level = max(same, key=lambda group: group.runs[0].env_steps).curve(panel.controller)
+        assert level is not None
+        of = f" ({', '.join(group.label for group in same)})" if len(alike) > 1 else ""
+        name, level = f"controller alone{of}", level.until(end)
+        style = {"color": CONTROLLER_COLOR, "width": 2, "dash": "dash"}
+        line = _line(level.steps, level.mean * panel.scale, name, name, style)
+        traces.append(line.update(meta={"Show": "controller"}))
+    return traces
+
+
+def _line(x: Floats, y: Floats, name: str, group: str, style: dict[str, Any]) -> go.Scatter:
     hover = "%{y:.4g} after %{x} steps"
-    return go.Scatter(
-        x=x,
-        y=y,
-        name=name,
-        legendgroup=group,
-        line=style,
-        mode="lines",
-        hovertemplate=hover,
-        **entries,
-    )
+    look = {"line": style, "mode": "lines", "hovertemplate": hover}
+    return go.Scatter(x=x, y=y, name=name, legendgroup=group, **look)
 
 
-def _to_the_end(c: Curve, end: float) -> Curve:
-    """A single value, as of a controller that learns nothing, is a level: it holds for all steps."""
-    if len(c.steps) > 1 or c.steps[0] == end:
-        return c
-    return Curve(c.seeds, np.array([0.0, end]), np.repeat(c.values, 2, axis=1))
-
-
-def _transparent(colour: str, alpha: float) -> str:
-    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+def _transparent(color: str, alpha: float) -> str:
+    red, green, blue = (int(color[i : i + 2], 16) for i in (1, 3, 5))
     return f"rgba({red},{green},{blue},{alpha})"
-
-
-def _total(run: Run, metric: str) -> float:
-    c = run.curve(metric)
-    return float(c.mean.sum()) if c else 0.0

@@ -1,27 +1,32 @@
-"""From logged metrics to curves with confidence bands, whatever draws them."""
+"""From logged metrics to curves over runs, with intervals; whatever draws them."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+
+from ..evaluation.statistics import mean_interval, success_interval
+
+__all__ = ["ANY", "Curve", "Floats", "Series", "curve"]
 
 Floats = NDArray[np.float64]
 Series = Mapping[int, Sequence[tuple[int, float]]]
-"""Seed to ``(env_steps, value)`` in order, as ``read_metrics`` gives it."""
+"""Seed to ``(env_steps, value)`` in order."""
+ANY = (-math.inf, math.inf)
 
 
 @dataclass(frozen=True)
 class Curve:
-    """One metric of one run.
+    """One metric of runs that differ by the seed.
 
     Attributes:
-        seeds: the run's seeds ``[S]``.
-        steps: environment steps of one seed ``[T]``.
-        values: one row per seed ``[S, T]``.
+        seeds: The runs' seeds ``[S]``.
+        steps: Environment steps ``[T]``.
+        values: One row per run ``[S, T]``.
     """
 
     seeds: tuple[int, ...]
@@ -30,36 +35,49 @@ class Curve:
 
     @property
     def mean(self) -> Floats:
-        """Mean over seeds ``[T]``."""
+        """Mean over runs ``[T]``."""
         return self.values.mean(0)
 
-    def band(self, confidence: float = 0.95) -> tuple[Floats, Floats]:
-        """Student's t interval of the mean over seeds, two ``[T]``; the mean itself for a single seed."""
-        count = len(self.values)
-        if count < 2:
-            return self.mean, self.mean
-        half = stats.sem(self.values, axis=0) * stats.t.ppf(0.5 + confidence / 2, count - 1)
-        return self.mean - half, self.mean + half
+    def band(
+        self, episodes: int | None = None, bounds: tuple[float, float] = ANY
+    ) -> tuple[Floats, Floats] | None:
+        """Return the 95 % interval of the mean, two ``[T]``.
 
-    def scaled(self, unit: float) -> Curve:
-        """The same in another unit."""
-        return Curve(self.seeds, self.steps, self.values * unit)
+        Args:
+            episodes: Of each run, where values are shares of them: see
+                :func:`~rrl.trainers.evaluation.statistics.success_interval`. None: Student's t.
+            bounds: Values that Student's interval does not leave.
+
+        Returns:
+            None where a single run says nothing about others.
+        """
+        if episodes:
+            counts = np.rint(self.values.T * episodes).astype(int).tolist()
+            low, high = np.array([success_interval(column, episodes) for column in counts]).T
+        elif len(self.values) > 1:
+            low, high = np.array([mean_interval(column) for column in self.values.T]).T
+            low, high = low.clip(*bounds), high.clip(*bounds)
+        else:
+            return None
+        return low, high
+
+    def until(self, end: float) -> Curve:
+        """Return a curve up to ``end``: a single value is a level that holds for all steps."""
+        if len(self.steps) > 1 or self.steps[0] == end:
+            return self
+        return replace(self, steps=np.array([0.0, end]), values=np.repeat(self.values, 2, axis=1))
 
     def thinned(self, points: int) -> Curve:
-        """At most about ``points`` points, each the mean of neighbouring ones, so that a page stays light."""
+        """Return at most about ``points`` points, each the mean of neighbors."""
         every = -(-len(self.steps) // points)
-        if every < 2:
-            return self
         starts = np.arange(0, len(self.steps), every)
         counts = np.diff([*starts, len(self.steps)])
-        ends = starts + counts - 1
-        return Curve(
-            self.seeds, self.steps[ends], np.add.reduceat(self.values, starts, axis=1) / counts
-        )
+        means = np.add.reduceat(self.values, starts, axis=1) / counts
+        return replace(self, steps=self.steps[starts + counts - 1], values=means)
 
 
 def curve(series: Series) -> Curve:
-    """Steps that every seed reached; where a step was logged twice, the last value counts."""
+    """Return the steps that every run reached; of a step logged twice the last value counts."""
     per_seed = {seed: dict(points) for seed, points in series.items()}
     steps = sorted(set.intersection(*(set(points) for points in per_seed.values())))
     values = np.array([[points[t] for t in steps] for points in per_seed.values()])

@@ -1,6 +1,6 @@
-"""A Weights & Biases workspace with our panels: runs grouped by experiment and arm, everything over environment steps.
+"""A Weights & Biases workspace with our panels; runs are grouped, everything is over environment steps.
 
-Needs the extra ``rrl[dashboard]``. Building it asks no server; only saving needs an account.
+It needs the extra ``rrl[dashboard]``. Building it asks no server; only saving needs an account.
 """
 
 from __future__ import annotations
@@ -10,25 +10,27 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..loggers import metrics
-from .panels import CHANGES, CONTACT, FOLLOWED, LEARNING, SHARES, Panel
+from .panels import CHANGES, FOLLOWED, LEARNING, SHARES, Panel
 
 if TYPE_CHECKING:
     from wandb_workspaces.workspaces import Section, Workspace
 
-GROUPS = (
-    ("Learning", LEARNING),
-    ("Rescues and regressions", CHANGES),
-    ("Controller and residual", SHARES),
-    ("Contact", CONTACT),
-)
-WHOLE = {
-    "rewards while exploring": f"{metrics.TRAIN}/reward",
-    "losses and values": metrics.LOSS,
-    "steps changed by a safety limit": metrics.SAFETY,
-    "seconds of a round": metrics.TIME,
-}
-"""Titles of the panels that show every metric of a group at once."""
+__all__ = ["build", "line_plot"]
 
+GROUPS = {
+    "Learning": LEARNING,
+    "Rescues and regressions": CHANGES,
+    "Controller and residual": SHARES,
+}
+WHOLE = {
+    "quantities of the followed episodes": f"{metrics.EVALUATION}/[^/]+/metrics/",
+    "the same of the controller alone": f"{metrics.EVALUATION}/[^/]+/controller_metrics/",
+    "rewards while exploring": f"{metrics.TRAIN}/reward",
+    "losses and values": f"{metrics.LOSS}/",
+    "steps changed by a safety limit": f"{metrics.SAFETY}/",
+    "seconds of a round": f"{metrics.TIME}/",
+}
+"""Titles of the panels that show all metrics whose names begin so."""
 MEDIA = ("media/video", "media/learning_curve")
 TABLES = ("results/success", "results/episodes")
 
@@ -44,7 +46,7 @@ def build(entity: str, project: str = "rrl") -> Workspace:
         The workspace; its ``save()`` sends it and needs ``wandb login``.
 
     Raises:
-        ModuleNotFoundError: without the extra.
+        ModuleNotFoundError: If the extra is missing.
     """
     try:
         import wandb_workspaces.reports.v2 as blocks
@@ -60,11 +62,9 @@ def build(entity: str, project: str = "rrl") -> Workspace:
 
     curves = [
         section(title, [blocks.LinePlot(**line_plot(panel)) for panel in panels], is_open=True)
-        for title, panels in GROUPS
+        for title, panels in GROUPS.items()
     ]
-    groups = [
-        blocks.LinePlot(**_over_steps(title, f"^{prefix}")) for title, prefix in WHOLE.items()
-    ]
+    groups = [blocks.LinePlot(**_over_steps(name, f"^{start}")) for name, start in WHOLE.items()]
     shown = [
         blocks.MediaBrowser(title="videos and curves", media_keys=list(MEDIA)),
         *(blocks.WeavePanelSummaryTable(table_name=name) for name in TABLES),
@@ -75,7 +75,7 @@ def build(entity: str, project: str = "rrl") -> Workspace:
         name="Residual RL",
         sections=[
             *curves,
-            section("Training", groups),
+            section("Quantities", groups),
             section("Final evaluation", shown, columns=1, is_open=True),
             section("Configuration", [blocks.RunComparer()], columns=1),
         ],
@@ -85,7 +85,7 @@ def build(entity: str, project: str = "rrl") -> Workspace:
 
 
 def line_plot(panel: Panel) -> dict[str, Any]:
-    """A panel as arguments of W&B's ``LinePlot``; a scenario's metric is drawn for every scenario.
+    """Return a panel as arguments of W&B's ``LinePlot``, drawn for every scenario.
 
     W&B draws what was logged: a panel in per cent is a share there.
     """

@@ -15,6 +15,8 @@ from ..storage.files import write_atomically
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
+__all__ = ["Page"]
+
 MEDIA_TYPES = {
     ".png": "image/png",
     ".jpg": "image/jpeg",
@@ -26,13 +28,13 @@ MEDIA_TYPES = {
 
 
 class Page:
-    """Collects blocks in reading order; :meth:`write` makes one file of them.
+    """Blocks in reading order, written as one HTML file.
 
-    Everything is inside that file, plotly.js too (4.5 MB, once, and only if there is a chart), so that it can be mailed
-    and opened offline. All text is escaped; between backticks it is set as code.
+    Everything is inside that file, plotly.js too (4.5 MB, once, and only if there is a chart), so
+    that it can be mailed and opened offline. Text is escaped; backticks set it as code.
 
     Args:
-        title: of the page and of the browser's tab.
+        title: Title of the page and of the browser's tab.
     """
 
     def __init__(self, title: str) -> None:
@@ -53,12 +55,8 @@ class Page:
     def table(self, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         """Add a table.
 
-        Args:
-            header: the columns' names.
-            rows: one cell of text per column.
-
         Raises:
-            ValueError: if a row has another number of cells than the header.
+            ValueError: If a row has another number of cells than the header.
         """
         for row in rows:
             if len(row) != len(header):
@@ -69,15 +67,14 @@ class Page:
         body = "\n".join(
             "<tr>" + "".join(f"<td>{_text(cell)}</td>" for cell in row) + "</tr>" for row in rows
         )
-        self._blocks.append(
-            f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>\n{body}\n</tbody></table></div>'
-        )
+        content = f"<thead><tr>{head}</tr></thead><tbody>\n{body}\n</tbody>"
+        self._blocks.append(f'<div class="wide"><table>{content}</table></div>')
 
     def image(self, path: Path | str, caption: str = "") -> None:
         """Add a picture (``.png``, ``.jpg``, ``.gif``, ``.svg``).
 
         Raises:
-            ValueError: a file of another kind.
+            ValueError: If the file is of another kind.
         """
         self._figure(
             f'<img alt="{html.escape(caption)}" src="{_data_uri(Path(path), "image")}">', caption
@@ -87,7 +84,7 @@ class Page:
         """Add a video (``.mp4``, ``.webm``) with controls, or a ``.gif`` that plays by itself.
 
         Raises:
-            ValueError: a file of another kind.
+            ValueError: If the file is of another kind.
         """
         if Path(path).suffix == ".gif":
             self.image(path, caption)
@@ -99,23 +96,20 @@ class Page:
         )
 
     def chart(self, figure: Figure, caption: str = "") -> None:
-        """Add an interactive Plotly figure; background, text and grid follow the reader's light or dark theme."""
+        """Add an interactive Plotly figure; its colors follow the reader's light or dark theme."""
         self._charts += 1
-        content = figure.to_json().replace(
-            "<", "\\u003c"
-        )  # nothing in it can close the script element
+        content = figure.to_json().replace("<", "\\u003c")  # it cannot close the script element
         self._figure(
             f'<div class="chart"></div><script type="application/json">{content}</script>', caption
         )
 
     def details(self, title: str, text: str) -> None:
         """Add preformatted text that a click unfolds."""
-        self._blocks.append(
-            f"<details><summary>{_text(title)}</summary><pre>{html.escape(text, quote=False)}</pre></details>"
-        )
+        content = f"<summary>{_text(title)}</summary><pre>{html.escape(text, quote=False)}</pre>"
+        self._blocks.append(f"<details>{content}</details>")
 
     def render(self) -> str:
-        """The page as HTML."""
+        """Return the page as HTML."""
         contents = "\n".join(
             f'<li><a href="#section-{i}">{_text(t)}</a></li>'
             for i, t in enumerate(self._sections, 1)
@@ -128,7 +122,7 @@ class Page:
         )
 
     def write(self, path: Path | str) -> Path:
-        """Write the page; whoever opens the file meanwhile sees all of the old one or all of the new one."""
+        """Write the page, all or nothing."""
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, self.render())

@@ -1,14 +1,19 @@
-"""Which metrics are looked at, under which title: one list for the report and for the W&B dashboard."""
+"""Which metrics are looked at, under which title: one list for report, pictures and dashboard."""
 
 from __future__ import annotations
 
-import math
+from collections.abc import Iterable
 from dataclasses import dataclass
+
+from rrl.keys import METRICS
+
+from ..loggers import metrics
+from .curves import ANY
+
+__all__ = ["CHANGES", "FOLLOWED", "LEARNING", "LENGTH", "SHARES", "Panel", "logged", "quantities"]
 
 FOLLOWED = "{followed}"
 """Stands in a metric's name for the scenario that is evaluated during training."""
-
-ANY = (-math.inf, math.inf)
 RATE = (0.0, 1.0)
 
 
@@ -17,45 +22,71 @@ class Panel:
     """One small chart over environment steps.
 
     Attributes:
-        metric: the metric's name, with ``{followed}`` for a scenario.
-        title: what it shows, with its unit.
-        unit: factor from the logged value to the drawn one.
-        bounds: the values possible; an interval does not leave them.
-        controller: metric of the controller alone on the same episodes.
+        metric: The metric's name, with ``{followed}`` for a scenario.
+        title: What it shows, with its unit.
+        scale: Factor from the logged value to the drawn one.
+        bounds: The possible values.
+        counted: Whether it is a share of the evaluation's episodes.
+        controller: Metric of the controller alone on the same episodes.
     """
 
     metric: str
     title: str
-    unit: float = 1.0
+    scale: float = 1.0
     bounds: tuple[float, float] = ANY
+    counted: bool = False
     controller: str = ""
 
 
-def _evaluated(metric: str, title: str, *, rate: bool = False, paired: bool = True) -> Panel:
-    unit, bounds = (100.0, RATE) if rate else (1.0, ANY)
-    controller = f"eval/{FOLLOWED}/controller_{metric}" if paired else ""
-    return Panel(f"eval/{FOLLOWED}/{metric}", title, unit, bounds, controller)
+def _evaluated(entry: str, title: str, *, counted: bool = False, paired: bool = True) -> Panel:
+    name = metrics.name(metrics.EVALUATION, FOLLOWED, entry)
+    controller = metrics.name(metrics.EVALUATION, FOLLOWED, f"controller_{entry}") if paired else ""
+    scale, bounds = (100.0, RATE) if counted else (1.0, ANY)
+    return Panel(name, title, scale, bounds, counted, controller)
 
 
 LEARNING = (
-    _evaluated("success", "success rate [%]", rate=True),
+    _evaluated("success", "success rate [%]", counted=True),
     _evaluated("return", "return of an episode"),
 )
 CHANGES = (
-    _evaluated(
-        "rescue_rate", "rescued: only the residual solves them [%]", rate=True, paired=False
-    ),
-    _evaluated(
-        "regression_rate", "broken: only the controller solves them [%]", rate=True, paired=False
-    ),
-)
+    _evaluated("rescue_rate", "rescued: only the residual solves them [%]", counted=True, paired=False),
+    _evaluated("regression_rate", "broken: only the controller solves them [%]", counted=True, paired=False),
+)  # fmt: skip
 SHARES = (
     Panel("action/residual_share", "residual's share of the action [%]", 100.0, RATE),
     Panel("action/residual_rms", "residual, root mean square [action units]"),
     Panel("action/clip_fraction", "components clipped at the action's bounds [%]", 100.0, RATE),
 )
-CONTACT = (
-    _evaluated("peak_contact_force", "largest contact force of an episode [N]"),
-    _evaluated("peak_tilt", "largest tilt of an episode [rad]"),
-    _evaluated("episode_length", "control steps of an episode"),
-)
+LENGTH = _evaluated("episode_length", "control steps of an episode")
+
+
+def quantities(entries: Iterable[str], units: dict[str, str]) -> list[Panel]:
+    """Return a panel for every ``metrics/<name>`` of an evaluation."""
+    found = [entry for entry in entries if entry.startswith(f"{METRICS}/")]
+    return [_evaluated(entry, quantity_title(entry, units)) for entry in found]
+
+
+def quantity_title(entry: str, units: dict[str, str]) -> str:
+    """Name ``metrics/<name>`` or ``metrics/<name>_p99`` in words, with its unit."""
+    name = entry.partition("/")[2]
+    base = name.removesuffix("_p99")
+    tail = ", 99th percentile" if base != name else ", mean"
+    unit = f" [{units[base]}]" if units.get(base) else ""
+    return base.replace("_", " ") + tail + unit
+
+
+def logged(names: Iterable[str]) -> list[Panel]:
+    """Return a panel for every name, called by what follows its group."""
+    words = {name: name.partition("/")[2].replace("/", ": ").replace("_", " ") for name in names}
+    return [Panel(name, title) for name, title in words.items()]
+
+
+def safety(limits: Iterable[str]) -> list[Panel]:
+    """Return two panels for every safety limit: steps that it changed in training, and followed."""
+    kinds = {"training": f"{metrics.SAFETY}/", "evaluation": f"{metrics.EVALUATION}/{FOLLOWED}/{metrics.SAFETY}_"}  # fmt: skip
+    return [
+        Panel(prefix + limit, f"{limit}, {kind} [%]", 100.0, RATE)
+        for limit in limits
+        for kind, prefix in kinds.items()
+    ]

@@ -1,10 +1,12 @@
-"""What a run left in its directory, read back for comparison."""
+"""What runs left in their directories, and which of them differ by the seed alone."""
 
 from __future__ import annotations
 
 import json
+import logging
 import os
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,12 +14,22 @@ from typing import Any
 
 import yaml
 
-from ..loggers import metrics, read_metrics
+from ..loggers import metrics
+from ..loggers.csv_file import read_metrics
 from ..storage.run_files import CONFIG_FILE, METRICS, RESULTS, VERSIONS, VIDEOS
-from .curves import Curve, Series, curve
+from ..storage.same_run import leaves
+from .curves import Curve, curve
+from .panels import FOLLOWED
 
-Summaries = Mapping[str, Mapping[str, Mapping[str, float]]]
-"""Scenario, seed, entry of a comparison's summary."""
+__all__ = ["Group", "Record", "Run", "find_runs", "group_runs"]
+
+log = logging.getLogger(__name__)
+
+Record = Mapping[str, Mapping[str, Any]]
+"""What ``results.json`` holds of a scenario: ``summary`` and ``episodes``."""
+
+OWN = re.compile(r"name|logger\b.*|render\b.*|hydra\b.*|trainer\.(seed|num_seeds|threads|profile)")
+"""Keys in which the runs of a group may differ."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +37,8 @@ class Run:
     """A run's directory.
 
     Attributes:
-        path: the directory.
-        label: tells it from the other runs it is shown with.
+        path: The directory.
+        label: Tells it from the runs that it is shown with.
     """
 
     path: Path
@@ -35,93 +47,181 @@ class Run:
     @cached_property
     def config(self) -> dict[str, Any]:
         """The resolved configuration."""
-        return dict(yaml.safe_load((self.path / CONFIG_FILE).read_text(encoding="utf-8")))
+        return _config(self.path)
 
     @cached_property
-    def record(self) -> Mapping[str, Series]:
+    def record(self) -> dict[str, list[tuple[int, float]]]:
         """Every metric that was logged; empty where the run kept no ``metrics.csv``."""
-        return read_metrics(self.path) if (self.path / METRICS).is_file() else {}
+        return self._read(METRICS, lambda path: read_metrics(path.parent))
 
     @cached_property
-    def results(self) -> Summaries:
-        """The final evaluation; empty while the run is not finished."""
-        return self._json(RESULTS)
+    def results(self) -> dict[str, Record]:
+        """The final evaluation by scenario; empty while the run is not finished."""
+        return self._read(RESULTS, _json)
 
     @cached_property
     def versions(self) -> dict[str, str]:
         """Package versions that the run was made with."""
-        return self._json(VERSIONS)
+        return self._read(VERSIONS, _json)
 
     @property
-    def seeds(self) -> list[int]:
-        """Seeds that train side by side."""
-        trainer = self.config["trainer"]
-        return list(range(trainer["seed"], trainer["seed"] + trainer["num_seeds"]))
+    def seed(self) -> int:
+        """The seed."""
+        return int(self.config["trainer"]["seed"])
 
     @property
     def followed(self) -> str:
         """The scenario that is evaluated during training."""
-        return next(iter(self.config["env"]["scenarios"]))
+        return str(next(iter(self.config["env"]["scenarios"])))
 
     @property
     def env_steps(self) -> int:
-        """Environment steps of one seed, as far as they are logged."""
-        return max(
-            (points[-1][0] for series in self.record.values() for points in series.values()),
-            default=0,
-        )
+        """Environment steps, as far as they are logged."""
+        return max((points[-1][0] for points in self.record.values()), default=0)
 
     @property
     def videos(self) -> list[Path]:
         """Rendered episodes."""
         return sorted(p for p in (self.path / VIDEOS).glob("*") if p.suffix in (".mp4", ".gif"))
 
-    def curve(self, metric: str) -> Curve | None:
-        """A metric over environment steps, ``{followed}`` standing for the scenario; None if it was not logged."""
-        series = self.record.get(metric.format(followed=self.followed))
-        return curve(series) if series else None
-
-    def metrics_of(self, group: str) -> list[str]:
-        """Names of the logged metrics of a group, without those of time's bookkeeping."""
-        return [name for name in self.record if name.startswith(metrics.name(group, ""))]
-
-    def _json(self, name: str) -> Any:
+    def _read(self, name: str, parse: Callable[[Path], Any]) -> Any:
         path = self.path / name
-        return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+        try:
+            return parse(path) if path.is_file() else {}
+        except (OSError, ValueError, AttributeError) as error:
+            log.warning("%s cannot be read and is left out: %s", path, error)
+            return {}
+
+
+@dataclass(frozen=True)
+class Group:
+    """Runs that differ by the seed alone; a run by itself is a group too.
+
+    Attributes:
+        label: Tells it from the groups that it is shown with.
+        runs: In the order of their seeds.
+    """
+
+    label: str
+    runs: tuple[Run, ...]
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The configuration of the first run."""
+        return self.runs[0].config
+
+    @property
+    def followed(self) -> str:
+        """The scenario that is evaluated during training."""
+        return self.runs[0].followed
+
+    @property
+    def followed_episodes(self) -> int:
+        """Episodes of an evaluation during training."""
+        return int(self.config["trainer"]["evaluation"]["episodes"])
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of what the environment reports, by name."""
+        declared = self.config["env"].get("metrics") or {}
+        return {name: (how or {}).get("unit", "") for name, how in declared.items()}
+
+    @cached_property
+    def results(self) -> dict[str, list[Record]]:
+        """The final evaluations by scenario, one for each run that is finished."""
+        names = dict.fromkeys(name for run in self.runs for name in run.results)
+        return {n: [r.results[n] for r in self.runs if n in r.results] for n in names}
+
+    def curve(self, metric: str) -> Curve | None:
+        """Return a metric over environment steps; None if no run logged it.
+
+        ``{followed}`` in its name stands for the scenario that is evaluated during training.
+        """
+        name = metric.replace(FOLLOWED, self.followed)
+        series = {k: run.record[name] for k, run in enumerate(self.runs) if name in run.record}
+        if not series:
+            return None
+        found = curve(series)
+        seeds = tuple(self.runs[k].seed for k in found.seeds)
+        return Curve(seeds, found.steps, found.values) if len(found.steps) else None
+
+    def metrics_of(self, *group: str) -> list[str]:
+        """Return the names of the logged metrics of a group, without the group."""
+        prefix = metrics.name(*group, "")
+        names = dict.fromkeys(name for run in self.runs for name in run.record)
+        return [name.removeprefix(prefix) for name in names if name.startswith(prefix)]
 
 
 def find_runs(paths: Sequence[Path]) -> list[Run]:
-    """The runs at ``paths``; a folder that is no run itself stands for all runs below it.
+    """Return the runs at ``paths``; a folder that is no run stands for all runs below it.
+
+    A run whose configuration cannot be read is named in a warning and left out.
 
     Raises:
-        FileNotFoundError: if there is none at one of them.
+        FileNotFoundError: If there is none at one of them.
     """
     found: list[Path] = []
     for path in paths:
-        below = [path] if (path / CONFIG_FILE).is_file() else _below(path)
+        below = [p for p in _run_dirs(path) if _readable(p)]
         if not below:
             raise FileNotFoundError(
-                f"{path}: no {CONFIG_FILE}; expected the directory of a run, or a folder of runs"
+                f"{path}: expected the directory of a run, or a folder of runs, got no {CONFIG_FILE}"
             )
         found += below
     found = list(dict.fromkeys(p.resolve() for p in found))
-    return [Run(path, label) for path, label in zip(found, _labels(found), strict=True)]
+    names = [str(_config(path).get("name", path.name)) for path in found]
+    return [Run(p, label) for p, label in zip(found, _labels(names, found), strict=True)]
 
 
-def _below(folder: Path) -> list[Path]:
-    """Directories of runs, without the command line's hidden copy of the configuration as it was composed."""
-    parents = sorted(path.parent for path in folder.rglob(CONFIG_FILE))
-    return [
-        path
-        for path in parents
-        if not any(part.startswith(".") for part in path.relative_to(folder).parts)
-    ]
+def group_runs(runs: Sequence[Run]) -> list[Group]:
+    """Put runs together that have the same configuration but for seed, name, loggers, threads."""
+    groups: dict[tuple[str, int], list[Run]] = {}
+    for run in runs:
+        key = {k: v for k, v in leaves(run.config).items() if not OWN.fullmatch(k)}
+        text, again = json.dumps(key, sort_keys=True), 0
+        while any(run.seed == other.seed for other in groups.get((text, again), ())):
+            again += 1  # the same seed once more tells nothing new
+        groups.setdefault((text, again), []).append(run)
+    sets = [tuple(sorted(found, key=lambda run: run.seed)) for found in groups.values()]
+    names = [str(found[0].config.get("name", found[0].path.name)) for found in sets]
+    paths = [_common([run.path for run in found]) for found in sets]
+    return [Group(n, found) for n, found in zip(_labels(names, paths), sets, strict=True)]
 
 
-def _labels(paths: Sequence[Path]) -> list[str]:
-    """The runs' own names where they tell the runs apart, else the part of the paths that does."""
-    names = [str(Run(path, "").config.get("name", path.name)) for path in paths]
+def _config(path: Path) -> dict[str, Any]:
+    return dict(yaml.safe_load((path / CONFIG_FILE).read_text(encoding="utf-8")))
+
+
+def _readable(path: Path) -> bool:
+    try:
+        config = _config(path)
+        return bool(config["trainer"] and config["env"])
+    except (OSError, ValueError, TypeError, KeyError, yaml.YAMLError) as error:
+        reason = " ".join(str(error).split())
+        log.warning("%s cannot be read, the run is left out: %s", path / CONFIG_FILE, reason)
+        return False
+
+
+def _json(path: Path) -> Any:
+    return dict(json.loads(path.read_text(encoding="utf-8")))
+
+
+def _run_dirs(folder: Path) -> list[Path]:
+    """The folder, if it is a run, or all runs below it; not the command line's hidden copies."""
+    if (folder / CONFIG_FILE).is_file():
+        return [folder]
+    found = (path.parent.relative_to(folder) for path in sorted(folder.rglob(CONFIG_FILE)))
+    return [folder / p for p in found if not any(part.startswith(".") for part in p.parts)]
+
+
+def _labels(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
+    """Names where they tell the runs apart, else the part of the paths that does."""
     if len(set(names)) == len(names):
-        return names
-    common = Path(os.path.commonpath(paths))
-    return [str(path.relative_to(common)) for path in paths]
+        return list(names)
+    common = _common(paths)
+    labels = [str(path.relative_to(common)) for path in paths]
+    return labels if len(set(labels)) == len(labels) else [f"{n} ({k})" for k, n in enumerate(labels, 1)]  # fmt: skip
+
+
+def _common(paths: Sequence[Path]) -> Path:
+    return Path(os.path.commonpath(paths))

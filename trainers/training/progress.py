@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
-import numpy as np
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -60,9 +59,9 @@ class Progress:
         if self._bar is not None:
             self._bar.advance(self._task, steps)
 
-    def show(self, comparisons: Sequence[Comparison], env_steps: int) -> None:
+    def show(self, comparison: Comparison, env_steps: int) -> None:
         """Show what an evaluation found."""
-        status = describe(comparisons)
+        status = describe(comparison)
         if self._bar is not None and self.console.is_terminal:
             self._bar.update(self._task, status=status)
         else:
@@ -89,10 +88,9 @@ def _above_the_bar() -> Iterator[None]:
             handler.setStream(stream)
 
 
-def describe(comparisons: Sequence[Comparison]) -> str:
-    """One line: success of residual and controller, or returns where there is no success."""
-    summaries = [c.summary() for c in comparisons]
-    key, form = ("success", "{:.0%}") if "success" in summaries[0] else ("return", "{:.2f}")
-    residual = float(np.mean([s[key] for s in summaries]))
-    controller = summaries[0][f"controller_{key}"]
+def describe(comparison: Comparison) -> str:
+    """Return one line: success of residual and controller, or returns without success."""
+    summary = comparison.summary()
+    key, form = ("success", "{:.0%}") if "success" in summary else ("return", "{:.2f}")
+    residual, controller = summary[key], summary[f"controller_{key}"]
     return f"{key}: residual {form.format(residual)}, controller {form.format(controller)}"

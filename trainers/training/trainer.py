@@ -207,7 +207,7 @@ class Trainer:
         self.profile.add(values, self.settings.steps_per_round)
         with self.stopwatch("log"):
             self._log(values)
-        if self._due(self.settings.evaluation.every) and self.env_steps < self.settings.total_steps:
+        if self._due(self.settings.evaluation.every):
             with self.stopwatch("evaluate"):
                 self._evaluate()
         self.progress.advance(self.settings.steps_per_round)
@@ -264,7 +264,7 @@ class Trainer:
         followed = self.evaluator.followed
         comparison = self.evaluator.compare(self.agent.policy, followed, Stream.FOLLOWING, episodes)
         self.progress.show(comparison, self.env_steps)
-        self._log(metrics.evaluation(followed, comparison.summary()))
+        self._log(metrics.evaluation(metrics.EVALUATION, followed, comparison.summary()))
 
     def _evaluate_all(self) -> dict[str, Comparison]:
         results = {}
@@ -274,7 +274,7 @@ class Trainer:
             results[scenario] = self.evaluator.compare(
                 self.agent.policy, scenario, Stream.FINAL, episodes
             )
-            self._log(metrics.evaluation(f"final/{scenario}", results[scenario].summary()))
+            self._log(metrics.evaluation(metrics.FINAL, scenario, results[scenario].summary()))
         return results
 
     def _log(self, values: Mapping[str, float]) -> None:
