@@ -26,6 +26,10 @@ NonNegative = Annotated[int, Field(ge=0)]
 Seed = Annotated[int, Field(ge=0, lt=MAX_SEED)]
 
 
+IN_YAML: Any = Field(default=None)
+"""Stands for the default in ``configs/``, which is filled in before anything is checked."""
+
+
 @lru_cache(maxsize=1)
 def default_config() -> dict[str, Any]:
     """Return the ``trainer`` and ``algorithm`` sections that ``rrl train`` uses by default."""
@@ -91,11 +95,11 @@ class EvaluationSettings(_Settings):
     """
 
     section = "evaluation"
-    every: NonNegative
-    episodes: Positive
-    final_episodes: Positive
-    seed: Seed
-    slots: Positive
+    every: NonNegative = IN_YAML
+    episodes: Positive = IN_YAML
+    final_episodes: Positive = IN_YAML
+    seed: Seed = IN_YAML
+    slots: Positive = IN_YAML
 
 
 class CheckpointSettings(_Settings):
@@ -107,8 +111,8 @@ class CheckpointSettings(_Settings):
     """
 
     section = "checkpoint"
-    every: NonNegative
-    keep: Positive
+    every: NonNegative = IN_YAML
+    keep: Positive = IN_YAML
 
 
 class TrainerSettings(_Settings):
@@ -133,8 +137,8 @@ class TrainerSettings(_Settings):
         overlap: Collect the next round in a second process while this round's updates run; round
             ``k`` then acts with the policy of round ``k - 1``'s start.
         profile: Time the parts of a collection too, and print at the end where a step's time went.
-        threads: Torch threads; None: one where a second process collects, else two if this process
-            may use as many.
+        threads: Torch threads. Products of small networks gain little from a second one, and wait
+            long for it where another process is busy.
         flush_denormals: Treat denormal numbers as zero; Adam's moments decay into them and slow the
             products down.
         matmul_precision: ``highest`` for float32 products, ``medium`` for bfloat16 products under
@@ -143,25 +147,25 @@ class TrainerSettings(_Settings):
         checkpoint: See :class:`CheckpointSettings`.
     """
 
-    seed: Seed
-    num_seeds: Positive
-    num_envs: Positive
-    device: str
-    total_steps: NonNegative
-    warmup_steps: NonNegative
-    warmup_exploration: bool
-    steps_per_collection: Positive
+    seed: Seed = IN_YAML
+    num_seeds: Positive = IN_YAML
+    num_envs: Positive = IN_YAML
+    device: str = IN_YAML
+    total_steps: NonNegative = IN_YAML
+    warmup_steps: NonNegative = IN_YAML
+    warmup_exploration: bool = IN_YAML
+    steps_per_collection: Positive = IN_YAML
     updates_per_step: Annotated[float, Field(gt=0)]
-    n_step: Positive
-    batch_size: Positive
-    buffer_capacity: Positive
-    overlap: bool
-    profile: bool
-    threads: Positive | None
-    flush_denormals: bool
-    matmul_precision: Literal["highest", "high", "medium"]
-    evaluation: EvaluationSettings
-    checkpoint: CheckpointSettings
+    n_step: Positive = IN_YAML
+    batch_size: Positive = IN_YAML
+    buffer_capacity: Positive = IN_YAML
+    overlap: bool = IN_YAML
+    profile: bool = IN_YAML
+    threads: Positive = IN_YAML
+    flush_denormals: bool = IN_YAML
+    matmul_precision: Literal["highest", "high", "medium"] = IN_YAML
+    evaluation: EvaluationSettings = IN_YAML
+    checkpoint: CheckpointSettings = IN_YAML
 
     @property
     def steps_per_round(self) -> int:

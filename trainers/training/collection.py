@@ -119,7 +119,7 @@ class InTurn(Collection):
 
     def set_policy(self, policy: TensorDictModuleBase) -> None:
         """Act with ``policy`` and exploration noise."""
-        modules = {"policy": policy}
+        modules: dict[str, TensorDictModuleBase] = {"policy": TensorDictSequential(policy)}
         if self.exploration is not None:
             modules["exploration"] = self.exploration
         self.collector = Collector(

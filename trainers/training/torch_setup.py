@@ -8,14 +8,10 @@ import warnings
 import numpy as np
 import torch
 
-from rrl.threads import available_threads
-
 from ..settings import TrainerSettings
 
 __all__ = ["configure_torch"]
 
-MOST_THREADS = 2
-"""Torch threads unless told otherwise, as measured; products of small networks cannot use many."""
 COLLECTOR_OFFSET = 2**30
 """Apart from every seed that a user can name."""
 
@@ -31,8 +27,7 @@ def configure_torch(settings: TrainerSettings, *, collects_only: bool = False) -
     random.seed(seed)
     np.random.seed(seed)  # noqa: NPY002 - whatever in an environment draws from it
     torch.manual_seed(seed)
-    threads = 1 if settings.overlap else min(MOST_THREADS, available_threads())
-    torch.set_num_threads(settings.threads or threads)
+    torch.set_num_threads(settings.threads)
     torch.set_float32_matmul_precision(_precision(settings))
     if settings.flush_denormals and not torch.set_flush_denormal(True):
         warnings.warn("flush_denormals: this processor cannot; going on without", stacklevel=2)
