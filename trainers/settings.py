@@ -155,7 +155,7 @@ class TrainerSettings(_Settings):
     warmup_steps: NonNegative = IN_YAML
     warmup_exploration: bool = IN_YAML
     steps_per_collection: Positive = IN_YAML
-    updates_per_step: Annotated[float, Field(gt=0)]
+    updates_per_step: Annotated[float, Field(gt=0)] = IN_YAML
     n_step: Positive = IN_YAML
     batch_size: Positive = IN_YAML
     buffer_capacity: Positive = IN_YAML
