@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal
@@ -29,11 +30,12 @@ from rrl.keys import (
 from rrl.symmetry import Symmetry, as_map
 from rrl.transforms import ActionHistory, ResidualAction
 
+from .worker_errors import WorkerErrors
+
 __all__ = ["Batching", "EnvironmentFactory", "Input", "Metric", "ResumableEnv"]
 
 Batching = Literal["native", "serial", "parallel"]
 Reduction = Literal["max", "min", "mean", "sum", "last"]
-_BATCHED = {"serial": SerialEnv, "parallel": ParallelEnv}
 
 
 class Metric(BaseModel):
@@ -58,6 +60,7 @@ class ResumableEnv(TransformedEnv):
     """
 
     next_input: TensorDictBase
+    worker_errors: WorkerErrors | None = None
 
     def begin_with(self, entries: TensorDictBase) -> None:
         """Have the next reset return these entries."""
@@ -65,7 +68,8 @@ class ResumableEnv(TransformedEnv):
 
     def reset(self, tensordict: TensorDictBase | None = None, **arguments: Any) -> TensorDictBase:
         """Reset the environment, or return what :meth:`begin_with` was given."""
-        self.next_input = super().reset(tensordict, **arguments)
+        with self._explaining():
+            self.next_input = super().reset(tensordict, **arguments)
         begin: TensorDictBase | None = self.__dict__.pop("_begin", None)
         if begin is not None:
             self.next_input = begin
@@ -75,8 +79,24 @@ class ResumableEnv(TransformedEnv):
         self, tensordict: TensorDictBase
     ) -> tuple[TensorDictBase, TensorDictBase]:
         """Step, and reset what has ended."""
-        out, self.next_input = super().step_and_maybe_reset(tensordict)
+        with self._explaining():
+            out, self.next_input = super().step_and_maybe_reset(tensordict)
         return out, self.next_input
+
+    def step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Step."""
+        with self._explaining():
+            return super().step(tensordict)
+
+    @contextmanager
+    def _explaining(self) -> Iterator[None]:
+        try:
+            yield
+        except RuntimeError as error:
+            errors = self.__dict__.get("worker_errors")
+            if errors is None or not str(error).startswith("Cannot proceed"):
+                raise
+            raise errors.explained(error) from error
 
 
 @dataclass(frozen=True)
@@ -137,7 +157,9 @@ class EnvironmentFactory:
             ValueError: If an entry that is reported is not one number a slot, or ``metrics`` names
                 one that the environment does not write.
         """
-        env = ResumableEnv(self._make_base(num_envs), Compose())
+        errors = WorkerErrors() if self.batching == "parallel" and num_envs > 1 else None
+        env = ResumableEnv(self._make_base(num_envs, errors), Compose())
+        env.__dict__["worker_errors"] = errors
         _check_reported(env.observation_spec, env.ndim, self.metrics)
         if any(spec.dtype == torch.float64 for spec in env.specs.values(True, True)):
             env.append_transform(DoubleToFloat())
@@ -209,10 +231,14 @@ class EnvironmentFactory:
             return dict(self.inputs)
         return {name: Input() for name in self.inputs}
 
-    def _make_base(self, num_envs: int) -> EnvBase:
+    def _make_base(self, num_envs: int, errors: WorkerErrors | None) -> EnvBase:
         if self.batching == "native":
             return self.base(num_envs=num_envs)
-        return self.base() if num_envs == 1 else _BATCHED[self.batching](num_envs, self.base)
+        if num_envs == 1:
+            return self.base()
+        if errors is None:
+            return SerialEnv(num_envs, self.base)
+        return ParallelEnv(num_envs, [errors.reporting(self.base, i) for i in range(num_envs)])
 
 
 def _dtype(spec: Composite, key: str) -> torch.dtype | None:

@@ -1,0 +1,58 @@
+"""Why a worker of a parallel batch of environments ended, in the run's own message."""
+
+from __future__ import annotations
+
+import tempfile
+import traceback
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from torchrl.envs import EnvBase
+
+__all__ = ["WorkerErrors"]
+
+
+class WorkerErrors:
+    """Collects what the environments of a :class:`torchrl.envs.ParallelEnv` raise.
+
+    TorchRL tells the parent only that a worker is dead; the reason is printed by another process.
+    """
+
+    def __init__(self) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="rrl-workers-")
+
+    def reporting(self, make: Callable[[], EnvBase], index: int) -> Callable[[], EnvBase]:
+        """Return ``make`` for worker ``index``, whose environment leaves its errors behind."""
+        return partial(_make, make, Path(self._folder.name) / f"{index:06d}")
+
+    def explained(self, error: RuntimeError) -> RuntimeError:
+        """Return an error that names the workers that ended and what they raised."""
+        reports = sorted(Path(self._folder.name).iterdir())
+        reasons = [
+            f"worker {int(path.name)}: {path.read_text(encoding='utf-8').strip()}"
+            for path in reports
+        ]
+        told = "; ".join(reasons) or "it left no word, so it was killed or crashed"
+        return RuntimeError(
+            f"environment: {told} ({error}). Everything before is on disk: the newest checkpoint "
+            "and all transitions that were stored"
+        )
+
+
+def _make(make: Callable[[], EnvBase], report: Path) -> EnvBase:
+    def guarded(call: Callable[..., Any]) -> Callable[..., Any]:
+        def run(*args: Any, **kwargs: Any) -> Any:
+            try:
+                return call(*args, **kwargs)
+            except Exception as error:
+                report.write_text(traceback.format_exception_only(error)[-1], encoding="utf-8")
+                raise
+
+        return run
+
+    env: EnvBase = guarded(make)()
+    for method in ("_step", "_reset"):  # what TorchRL has environments implement
+        object.__setattr__(env, method, guarded(getattr(env, method)))
+    return env
