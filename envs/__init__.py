@@ -8,19 +8,13 @@ Example:
 
 from __future__ import annotations
 
-from . import _quiet as _quiet  # before anything that imports dm_control
-from .composer import ComposerEnv
+from .opengl import RenderingUnavailable  # first: it imports MuJoCo and dm_control
+from .composer import ComposerEnv  # isort: skip
 from .insertion.batched_env import InsertionEnv
+from .insertion.composer_env import NAMES, load
 from .insertion.composer_task import InsertionTask
 from .insertion.config import InsertionConfig, make_config
-from .insertion.registry import NAMES, load
-from .insertion.render import (
-    Renderer,
-    RenderingUnavailable,
-    render_composer,
-    render_states,
-    write_video,
-)
+from .insertion.render import Renderer, render_composer, render_states
 
 __all__ = [
     "NAMES",
@@ -34,5 +28,4 @@ __all__ = [
     "make_config",
     "render_composer",
     "render_states",
-    "write_video",
 ]

@@ -31,3 +31,6 @@ REWARD_TERMS = "reward_terms"
 
 SAFETY = "safety"
 """Nested entry with one flag a limit: whether it changed this step's action, bool."""
+
+METRICS = "metrics"
+"""Nested entry with one quantity a name that the environment wants reported, float or bool."""
