@@ -18,19 +18,12 @@ from typing import Any
 __all__ = ["RenderingUnavailable", "find_backend", "make_context"]
 
 BACKENDS = ("egl", "osmesa", "glfw")
-_RENDERERS = {
-    "mujoco.rendering.classic.gl_context": "GLContext",
-    "dm_control._render": "Renderer",
-}
-"""What makes OpenGL contexts, for ``mujoco.Renderer`` and for dm_control's pixel observables."""
 _PROBE = """
-import sys, importlib
-context = importlib.import_module("mujoco." + sys.argv[1]).GLContext(16, 16)
-context.make_current()
+import importlib, os, sys
+importlib.import_module("mujoco." + sys.argv[1]).GLContext(16, 16).make_current()
 import mujoco
 mujoco.MjrContext(mujoco.MjModel.from_xml_string("<mujoco/>"), 150)
 print("works", flush=True)
-import os
 os._exit(0)
 """
 
@@ -43,8 +36,8 @@ class RenderingUnavailable(RuntimeError):
 def find_backend() -> str:
     """Return the first backend that can make a context: ``egl``, ``osmesa`` or ``glfw``.
 
-    Tried in a process of its own, because a broken driver may end the process. The environment
-    variable ``MUJOCO_GL`` restricts the choice where it names one of the three.
+    Each is tried in its own process, because a broken driver may end it. The environment variable
+    ``MUJOCO_GL`` restricts the choice where it names one of the three.
 
     Raises:
         RenderingUnavailable: If none works; the message says why and what to install.
@@ -59,18 +52,16 @@ def find_backend() -> str:
                 env=environment, capture_output=True, text=True, timeout=60, check=False,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
-            reasons.append(f"{backend}: no answer within 60 s")
+            reasons.append(f"{backend} does not answer within 60 s")
             continue
         if "works" in probe.stdout:
             return backend
-        lines = probe.stderr.strip().splitlines() or ["no message"]
-        reasons.append(f"{backend}: {lines[-1]}")
+        reasons.append(f"{backend}: {(probe.stderr.strip().splitlines() or ['no message'])[-1]}")
     raise RenderingUnavailable(
-        "rendering: expected an OpenGL backend that works (training and evaluation need none), got "
-        + "; ".join(reasons)
-        + (f" with MUJOCO_GL={wanted}" if wanted in BACKENDS else "")
-        + ". Install one, on Debian or Ubuntu for instance `apt-get install libegl1 "
-        "libgl1-mesa-dri` for EGL or `apt-get install libosmesa6` for OSMesa."
+        f"MUJOCO_GL: expected a backend that renders on this machine, got {wanted!r} "
+        f"({'; '.join(reasons)}). Training and evaluation need none. To render, install one, on "
+        "Debian or Ubuntu for instance `apt-get install libegl1 libgl1-mesa-dri` for EGL or "
+        "`apt-get install libosmesa6` for OSMesa."
     )
 
 
@@ -81,14 +72,12 @@ def make_context(width: int, height: int) -> Any:
         RenderingUnavailable: If no backend works, or PyOpenGL uses another one in this process.
     """
     backend = find_backend()
-    platform = os.environ.get("PYOPENGL_PLATFORM") or backend
-    if backend != "glfw":
-        os.environ["PYOPENGL_PLATFORM"] = platform
-        if platform != backend:
-            raise RenderingUnavailable(
-                f"PYOPENGL_PLATFORM: expected {backend!r}, which works here, got {platform!r}; "
-                f"start again with PYOPENGL_PLATFORM={backend}"
-            )
+    platform = backend if backend == "glfw" else os.environ.get("PYOPENGL_PLATFORM") or backend
+    if platform != backend:
+        raise RenderingUnavailable(
+            f"PYOPENGL_PLATFORM: expected {backend!r}, which works here, got {platform!r}; start "
+            f"again with PYOPENGL_PLATFORM={backend}"
+        )
     context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
     context.make_current()
     return context
@@ -101,9 +90,8 @@ def _mujoco_gl(backend: str) -> Iterator[None]:
     try:
         yield
     finally:
-        if before is None:
-            del os.environ["MUJOCO_GL"]
-        else:
+        del os.environ["MUJOCO_GL"]
+        if before is not None:
             os.environ["MUJOCO_GL"] = before
 
 
@@ -119,14 +107,10 @@ def _choose_at_first_use(module_name: str, name: str) -> None:
     setattr(module, name, construct)
 
 
-def _import_without_opengl() -> None:
-    fresh = [module for module in _RENDERERS if module.split(".")[0] not in sys.modules]
+if "mujoco" not in sys.modules:  # else it is too late, and no harm was done
     with _mujoco_gl("disable"):
-        importlib.import_module("dm_control.mujoco")
-    for module in fresh:
-        # The modules are private: where a later version has moved them, training goes on.
-        with contextlib.suppress(ImportError):
-            _choose_at_first_use(module, _RENDERERS[module])
-
-
-_import_without_opengl()
+        import dm_control.mujoco  # noqa: F401
+    # Private modules: where a later version has moved them, only these renderers are missing.
+    with contextlib.suppress(ImportError):
+        _choose_at_first_use("dm_control._render", "Renderer")  # pixel observables
+        _choose_at_first_use("mujoco.rendering.classic.gl_context", "GLContext")  # mujoco.Renderer

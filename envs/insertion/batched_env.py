@@ -193,7 +193,9 @@ class InsertionEnv(EnvBase):
             (groups.setdefault(group, {}) if item else entries)[item or name] = tensor
         # The entries are right by construction; checking each would cost as much as the physics.
         options: dict[str, Any] = {"batch_size": self.batch_size, "device": self.device}
-        entries |= {group: TensorDict._new_unsafe(items, **options) for group, items in groups.items()}
+        entries |= {
+            group: TensorDict._new_unsafe(items, **options) for group, items in groups.items()
+        }
         return TensorDict._new_unsafe(entries, **options)
 
     def physics_state(self) -> np.ndarray:

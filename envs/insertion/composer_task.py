@@ -37,7 +37,7 @@ class InsertionTask(composer.Task):
     def __init__(self, config: InsertionConfig) -> None:
         self.config = config
         self.num_diverged = 0
-        self._scene = build_scene(config)
+        self._arena = build_scene(config)
         self._start: StartState | None = None
         self._trace: list[np.ndarray] = []
         self._sensors = np.zeros(0)
@@ -45,8 +45,7 @@ class InsertionTask(composer.Task):
         self._outputs: dict[str, np.ndarray] = {}
         self.set_timesteps(config.control_timestep, config.physics_timestep)
         self._observables = OrderedDict(
-            (name, self._observable(name))
-            for name in (*quantities.output_names(config), DIVERGED)
+            (name, self._observable(name)) for name in (*quantities.output_names(config), DIVERGED)
         )
 
     def _observable(self, name: str) -> observable.Generic:
@@ -57,7 +56,7 @@ class InsertionTask(composer.Task):
     @property
     def root_entity(self) -> composer.Entity:
         """The arena."""
-        return self._scene.arena
+        return self._arena
 
     @property
     def task_observables(self) -> OrderedDict:
@@ -68,7 +67,9 @@ class InsertionTask(composer.Task):
     def start(self) -> StartState:
         """The nominal start of an episode."""
         if self._start is None:
-            raise RuntimeError("start: expected a compiled model; make a composer.Environment first")
+            raise RuntimeError(
+                "start: expected a compiled model; make a composer.Environment first"
+            )
         return self._start
 
     def action_spec(self, physics: Any) -> specs.BoundedArray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import dataclasses
 from typing import Any
 
 import mujoco
@@ -17,26 +16,15 @@ from .gripper import ParallelGripper
 from .sawyer import Sawyer
 from .sensors import add_sensors
 
-__all__ = ["Scene", "build_scene", "compile_model"]
+__all__ = ["build_scene", "compile_model"]
 
 COLORS = ((0.13, 0.37, 0.70, 1.0), (0.10, 0.52, 0.50, 1.0))
 """Of the left and right standing block."""
 HELD_COLOR = (0.95, 0.66, 0.13, 1.0)
 
 
-@dataclasses.dataclass(frozen=True)
-class Scene:
-    """The entities of the task, and the MJCF bodies of the standing blocks, left first."""
-
-    arena: PlatformArena
-    arm: Sawyer
-    gripper: ParallelGripper
-    held: HeldBlock
-    frames: list[Any]
-
-
-def build_scene(config: InsertionConfig) -> Scene:
-    """Assemble the task's entities, actuators and sensors."""
+def build_scene(config: InsertionConfig) -> PlatformArena:
+    """Return the arena with the task's entities, actuators and sensors."""
     arena = PlatformArena(
         goal_xy=config.goal_xy,
         friction=config.platform_friction,
@@ -55,12 +43,12 @@ def build_scene(config: InsertionConfig) -> Scene:
     else:
         add_joint_actuators(arena.mjcf_model, config, arm.joints)
     add_sensors(arena.mjcf_model, arm, held, frames)
-    return Scene(arena, arm, gripper, held, frames)
+    return arena
 
 
 def compile_model(config: InsertionConfig) -> mujoco.MjModel:
     """Return the task's compiled model, the same that the composer environment gets."""
-    physics = mjcf.Physics.from_mjcf_model(build_scene(config).arena.mjcf_model)
+    physics = mjcf.Physics.from_mjcf_model(build_scene(config).mjcf_model)
     model = copy.copy(physics.model.ptr)
     physics.free()
     return model
