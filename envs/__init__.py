@@ -8,13 +8,13 @@ Example:
 
 from __future__ import annotations
 
-from .opengl import RenderingUnavailable  # first: it imports MuJoCo and dm_control
-from .composer import ComposerEnv  # isort: skip
+from .opengl import RenderingUnavailable  # isort: skip - it has to import MuJoCo first
+from .composer import ComposerEnv
 from .insertion.batched_env import InsertionEnv
 from .insertion.composer_env import NAMES, load
 from .insertion.composer_task import InsertionTask
 from .insertion.config import InsertionConfig, make_config
-from .insertion.render import Renderer, render_composer, render_states
+from .insertion.render import render_composer, render_states
 
 __all__ = [
     "NAMES",
@@ -22,7 +22,6 @@ __all__ = [
     "InsertionConfig",
     "InsertionEnv",
     "InsertionTask",
-    "Renderer",
     "RenderingUnavailable",
     "load",
     "make_config",

@@ -34,10 +34,7 @@ class ComposerEnv(DMControlWrapper):
     """
 
     def __init__(
-        self,
-        env: composer.Environment,
-        seed: int | None = None,
-        dtype: torch.dtype = torch.float32,
+        self, env: composer.Environment, seed: int | None = None, dtype: torch.dtype = torch.float32
     ) -> None:
         self._dtype = dtype
         super().__init__(env=env)

@@ -15,12 +15,13 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
-__all__ = ["RenderingUnavailable", "find_backend", "make_context"]
+__all__ = ["RenderingUnavailable", "find_backend"]
 
 BACKENDS = ("egl", "osmesa", "glfw")
 _PROBE = """
 import importlib, os, sys
-importlib.import_module("mujoco." + sys.argv[1]).GLContext(16, 16).make_current()
+context = importlib.import_module("mujoco." + sys.argv[1]).GLContext(16, 16)
+context.make_current()
 import mujoco
 mujoco.MjrContext(mujoco.MjModel.from_xml_string("<mujoco/>"), 150)
 print("works", flush=True)
@@ -65,24 +66,6 @@ def find_backend() -> str:
     )
 
 
-def make_context(width: int, height: int) -> Any:
-    """Return a current off-screen OpenGL context.
-
-    Raises:
-        RenderingUnavailable: If no backend works, or PyOpenGL uses another one in this process.
-    """
-    backend = find_backend()
-    platform = backend if backend == "glfw" else os.environ.get("PYOPENGL_PLATFORM") or backend
-    if platform != backend:
-        raise RenderingUnavailable(
-            f"PYOPENGL_PLATFORM: expected {backend!r}, which works here, got {platform!r}; start "
-            f"again with PYOPENGL_PLATFORM={backend}"
-        )
-    context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
-    context.make_current()
-    return context
-
-
 @contextlib.contextmanager
 def _mujoco_gl(backend: str) -> Iterator[None]:
     before = os.environ.get("MUJOCO_GL")
@@ -100,17 +83,20 @@ def _choose_at_first_use(module_name: str, name: str) -> None:
     module = importlib.import_module(module_name)
 
     def construct(*args: Any, **kwargs: Any) -> Any:
-        with _mujoco_gl(find_backend()):
-            importlib.reload(module)
+        backend = find_backend()
+        try:
+            with _mujoco_gl(backend):
+                importlib.reload(module)
+        except Exception as error:  # of many kinds, from drivers and their bindings
+            raise RenderingUnavailable(f"rendering with {backend!r}: {error}") from error
         return getattr(module, name)(*args, **kwargs)
 
     setattr(module, name, construct)
 
 
-if "mujoco" not in sys.modules:  # else it is too late, and no harm was done
-    with _mujoco_gl("disable"):
-        import dm_control.mujoco  # noqa: F401
-    # Private modules: where a later version has moved them, only these renderers are missing.
-    with contextlib.suppress(ImportError):
-        _choose_at_first_use("dm_control._render", "Renderer")  # pixel observables
-        _choose_at_first_use("mujoco.rendering.classic.gl_context", "GLContext")  # mujoco.Renderer
+with _mujoco_gl("disable"):
+    import dm_control.mujoco  # noqa: F401
+# Private modules: where a later version has moved them, rendering fails, and nothing else.
+with contextlib.suppress(ImportError):
+    _choose_at_first_use("mujoco.rendering.classic.gl_context", "GLContext")  # mujoco.Renderer
+    _choose_at_first_use("dm_control._render", "Renderer")  # pixel observables

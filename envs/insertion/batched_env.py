@@ -16,7 +16,6 @@ from rrl.threads import available_threads
 
 from . import quantities
 from .config import InsertionConfig, make_config
-from .model.scene import compile_model
 from .physics.control import check_action, set_points
 from .physics.simulation import BatchSimulation
 from .physics.start import draw_episode
@@ -80,9 +79,7 @@ class InsertionEnv(EnvBase):
         self.num_envs = num_envs
         self.num_diverged = 0
         threads = num_threads or max(1, min(available_threads(), num_envs // ENVS_PER_THREAD))
-        self._simulation = BatchSimulation(
-            compile_model(self.config), self.config, num_envs, threads
-        )
+        self._simulation = BatchSimulation(self.config, num_envs, threads)
         self._steps = np.zeros(num_envs, dtype=np.int64)
         # What the last step wrote: slots that do not step, or diverge, write it again.
         blank = np.zeros((num_envs, 1, self._simulation.start.layout.size))
@@ -99,13 +96,10 @@ class InsertionEnv(EnvBase):
         seed: int | None = 0,
         **overrides: Any,
     ) -> dict[str, int]:
-        """Check arguments of the constructor without building physics.
+        """Check the constructor's arguments without building physics.
 
         Returns:
             The size of each observation entry.
-
-        Raises:
-            ValueError: If the constructor would raise it.
         """
         _check_count("num_envs", num_envs, 1)
         _check_count("num_threads", 1 if num_threads is None else num_threads, 1)
@@ -142,8 +136,7 @@ class InsertionEnv(EnvBase):
             slots = np.flatnonzero(mask.reshape(self.num_envs).numpy())
         for slot in slots.tolist():
             episode = draw_episode(self.config, self._generators[slot])
-            trace = self._simulation.reset(slot, episode)[None]
-            self._keep(trace, slice(slot, slot + 1))
+            self._keep(self._simulation.reset(slot, episode), slice(slot, slot + 1))
             self._steps[slot] = 0
         nothing = np.zeros(self.num_envs, dtype=bool)
         return self._pack(diverged=nothing, truncated=nothing).exclude(REWARD)
@@ -154,17 +147,17 @@ class InsertionEnv(EnvBase):
         mask = tensordict.get("_step", None)  # slots that take this step; None: all
         partly = mask is not None and not bool(mask.all())
         active = mask.reshape(self.num_envs).numpy() if partly else None
-        simulation = self._simulation
-        signals = simulation.start.layout.views(simulation.sensors)
-        controls = set_points(signals, action, self.config, simulation.start.home)
-        trace, diverged = simulation.step(controls, active)
+        start = self._simulation.start
+        signals = start.layout.views(self._simulation.sensors)
+        controls = set_points(signals, action, self.config, start.home)
+        trace, diverged = self._simulation.step(controls, active)
         self._steps += 1 if active is None else active
+        self.num_diverged += int(diverged.sum())
         if active is None and not diverged.any():
             self._keep(trace, slice(None))
         else:
-            measured = ~diverged if active is None else active & ~diverged
-            self.num_diverged += int(diverged.sum())
-            self._keep(trace[measured], measured)
+            fine = ~diverged if active is None else active & ~diverged
+            self._keep(trace[fine], fine)
         return self._pack(diverged, (self._steps >= self.config.episode_length) | diverged)
 
     def _evaluate(self, trace: np.ndarray) -> dict[str, np.ndarray]:
@@ -193,9 +186,8 @@ class InsertionEnv(EnvBase):
             (groups.setdefault(group, {}) if item else entries)[item or name] = tensor
         # The entries are right by construction; checking each would cost as much as the physics.
         options: dict[str, Any] = {"batch_size": self.batch_size, "device": self.device}
-        entries |= {
-            group: TensorDict._new_unsafe(items, **options) for group, items in groups.items()
-        }
+        for group, items in groups.items():
+            entries[group] = TensorDict._new_unsafe(items, **options)
         return TensorDict._new_unsafe(entries, **options)
 
     def physics_state(self) -> np.ndarray:
@@ -204,13 +196,10 @@ class InsertionEnv(EnvBase):
 
     def slot_model(self, slot: int) -> mujoco.MjModel:
         """Return the MuJoCo model of one slot, for rendering its physics states."""
-        return self._simulation.slot_model(slot)
+        return self._simulation.models[slot]
 
     def get_extra_state(self) -> dict[str, Any]:
-        """Return everything that a run needs to go on in the middle of an episode, bit for bit.
-
-        Part of ``state_dict()``: physics, step counters, last outputs and random generators.
-        """
+        """Return what ``state_dict()`` needs to go on in the middle of an episode, bit for bit."""
         arrays = {name: torch.from_numpy(value.copy()) for name, value in self._arrays().items()}
         generators = [generator.bit_generator.state for generator in self._generators]
         return {**arrays, "generators": generators, "num_diverged": self.num_diverged}
@@ -225,8 +214,7 @@ class InsertionEnv(EnvBase):
         if tuple(state["physics"].shape) != simulation.state.shape:
             raise ValueError(
                 f"state: expected physics of shape {simulation.state.shape} (environments, state), "
-                f"got {tuple(state['physics'].shape)}; make the environment with the same variant "
-                "and num_envs"
+                f"got {tuple(state['physics'].shape)}; use the same variant and num_envs"
             )
         for name, value in self._arrays().items():
             value[:] = state[name].numpy()

@@ -74,12 +74,10 @@ class InsertionTask(composer.Task):
 
     def action_spec(self, physics: Any) -> specs.BoundedArray:
         """Return the spec of the normalized displacement (x, y, z) in [-1, 1]."""
-        del physics
         return specs.BoundedArray((3,), np.float64, -1.0, 1.0, name="x\ty\tz")
 
     def after_compile(self, physics: Any, random_state: np.random.RandomState) -> None:
         """Find the start state for the compiled model."""
-        del random_state
         if self._start is None:
             self._start = StartState(physics.model.ptr, self.config)
         self.initialize_episode(physics, np.random.RandomState(0))
@@ -101,7 +99,6 @@ class InsertionTask(composer.Task):
         Raises:
             ValueError: If the action is not of shape [3], or not finite.
         """
-        del random_state
         action = check_action(np.asarray(action, dtype=np.float64)[None], 1)
         signals = self.start.layout.views(self._sensors[None])
         physics.data.ctrl[:] = set_points(signals, action, self.config, self.start.home)[0]
@@ -112,12 +109,10 @@ class InsertionTask(composer.Task):
 
     def after_substep(self, physics: Any, random_state: np.random.RandomState) -> None:
         """Keep the sensors of every substep."""
-        del random_state
         self._trace.append(physics.data.sensordata.copy())
 
     def after_step(self, physics: Any, random_state: np.random.RandomState) -> None:
         """Evaluate the end of the control step; a diverged one leaves the last outputs."""
-        del random_state
         model, data = physics.model.ptr, physics.data.ptr
         state = np.empty((1, mujoco.mj_stateSize(model, STATE)))
         mujoco.mj_getState(model, data, state[0], STATE)
@@ -136,10 +131,8 @@ class InsertionTask(composer.Task):
 
     def get_reward(self, physics: Any) -> float:
         """Return the sum of the weighted reward terms."""
-        del physics
         return float(self._outputs[REWARD][0, 0])
 
     def should_terminate_episode(self, physics: Any) -> bool:
         """Return whether the physics diverged; nothing else ends an episode before its time."""
-        del physics
         return bool(self._outputs[DIVERGED][0, 0])

@@ -25,23 +25,22 @@ PerJoint = Field(min_length=NUM_JOINTS, max_length=NUM_JOINTS)
 
 @dataclass(frozen=True, config=ConfigDict(allow_inf_nan=False))
 class InsertionConfig:
-    """The block-insertion task of the paper (section IV), in SI units unless a field says otherwise.
+    """The block-insertion task of the paper (section IV), in SI units unless stated otherwise.
 
     The world's x axis points away from the robot and across the gap, y along the gap, z up; the
     platform's surface is z = 0.
 
     Raises:
-        pydantic.ValidationError: If a value is out of range, or the geometry cannot be built. It
-            is a ValueError.
+        ValueError: If a value is out of range, or the geometry cannot be built.
     """
 
     # What distinguishes the variants.
     controller: Literal["cartesian", "impedance"] = "cartesian"
-    """``cartesian`` position control, or joint-space ``impedance`` control."""
+    """Position control of the tool, or joint-space impedance control."""
     blocks: Literal["planar", "free", "fixed"] = "planar"
     """Standing blocks: ``planar`` (slide x, slide y, topple about y), ``free``, or ``fixed``."""
     force_observation: Literal["wrench", "force_z"] = "wrench"
-    """``wrench`` (three forces, three torques) or ``force_z`` alone."""
+    """Three forces and three torques, or the force along z alone."""
     reward_point: Literal["held_block", "end_effector"] = "held_block"
     """The point that has to reach the goal."""
 
@@ -54,8 +53,8 @@ class InsertionConfig:
     """Play of the inserted block on each side of the gap when the blocks are aligned."""
     goal_xy: tuple[Number, Number] = (0.6, 0.0)
     base_height: Number = 0.0
-    """Height of the robot's mounting plane above the platform's surface. Where the tool works at
-    the height of the shoulder (-0.35), pressing down does not push the compliant arm sideways."""
+    """Height of the robot's mounting plane above the platform. Where the tool works at the height
+    of the shoulder (-0.35), pressing down does not push the compliant arm sideways."""
     start_height: Positive = 0.14
     """Height of the inserted block above its goal at reset."""
     start_range: tuple[NonNegative, NonNegative, NonNegative] = (0.01, 0.01, 0.01)
@@ -108,8 +107,8 @@ class InsertionConfig:
     """Control steps after which an episode is truncated."""
 
     # Reward and success.
-    reward_weights: Mapping[str, NonNegative] = dataclasses.field(default_factory=dict)
-    """Weights by name of the reward term; the others keep the weight in ``quantities.REWARD_TERMS``."""
+    reward_weights: dict[str, NonNegative] = dataclasses.field(default_factory=dict)
+    """Weights by the term's name; the others keep those of ``quantities.REWARD_TERMS``."""
     position_tolerance: Positive = 0.012
     """Largest distance of the inserted block from its goal, m."""
     tilt_tolerance: Positive = 0.1
@@ -151,40 +150,32 @@ class InsertionConfig:
         yaw, (size_x, size_y, size_z) = self.max_yaw, self.standing_half_size
         if self.yaw_choices and self.yaw_range:
             raise ValueError(
-                "yaw_range: expected 0 where yaw_choices are given (they exclude each other), got "
-                f"yaw_range={self.yaw_range} and yaw_choices={self.yaw_choices}"
+                f"yaw_range: expected 0 beside yaw_choices {self.yaw_choices}, got {self.yaw_range}"
             )
         if self.chamfer[0] >= 2 * size_x or self.chamfer[1] >= 2 * size_z:
-            raise ValueError(
-                f"chamfer: expected cuts below the standing block's sides {2 * size_x, 2 * size_z},"
-                f" got {self.chamfer}"
-            )
+            sides = 2 * size_x, 2 * size_z
+            raise ValueError(f"chamfer: expected less than the sides {sides}, got {self.chamfer}")
         if (self.chamfer[0] > 0) != (self.chamfer[1] > 0):
-            raise ValueError(
-                f"chamfer: expected two cuts, or (0, 0) for a square edge, got {self.chamfer}"
-            )
+            raise ValueError(f"chamfer: expected two cuts, or (0, 0) for none, got {self.chamfer}")
         if yaw >= math.pi / 2:
             raise ValueError(f"yaw_range or yaw_choices: expected below pi/2, got {yaw:.3f} rad")
         reach = size_x * math.cos(yaw) + size_y * math.sin(yaw)
         if reach > self.block_offset:
             raise ValueError(
-                f"yaw_range or yaw_choices: expected standing blocks that do not overlap, got "
-                f"blocks that reach {reach:.4f} m at {yaw:.3f} rad with the middle of the gap "
-                f"{self.block_offset:.4f} m away; reduce the yaw or the standing blocks, or "
-                "increase the clearance"
+                "yaw_range or yaw_choices: expected standing blocks that do not overlap, got "
+                f"{yaw:.3f} rad; reduce it or the blocks, or increase the clearance"
             )
         if self.start_height - self.start_range[2] <= 2 * size_z:
             raise ValueError(
-                f"start_height: expected more than the standing blocks' height {2 * size_z:g} plus "
+                f"start_height: expected more than the blocks' height {2 * size_z:g} plus "
                 f"start_range {self.start_range[2]}, got {self.start_height}"
             )
         x, y = self.goal_xy
         distance = math.hypot(x, y, self.goal[2] + self.start_height - self.base_height)
         if math.hypot(x, y) < 0.4 or distance > 0.85:
             raise ValueError(
-                "goal_xy: expected a goal within the arm's reach, 0.4 m or more from its axis and "
-                f"with the start at most 0.85 m from its base, got {self.goal_xy} "
-                f"(the start is {distance:.2f} m away)"
+                "goal_xy: expected within reach (0.4 m or more from the arm's axis, start at most "
+                f"0.85 m from its base), got {self.goal_xy} and {distance:.2f} m"
             )
         return self
 

@@ -12,23 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rrl.keys import METRICS as METRICS_KEY
-from rrl.keys import REWARD, REWARD_TERMS as REWARD_TERMS_KEY, SUCCESS
+from rrl import keys
 
 from .config import InsertionConfig
 from .physics.signals import Signals
 
-__all__ = [
-    "METRICS",
-    "OBSERVATIONS",
-    "REWARD_TERMS",
-    "Measurement",
-    "evaluate",
-    "measure",
-    "observation_sizes",
-    "output_names",
-    "reward_weights",
-]
+__all__ = ["METRICS", "OBSERVATIONS", "REWARD_TERMS", "Measurement", "evaluate", "measure"]
 
 
 class Measurement(NamedTuple):
@@ -57,7 +46,7 @@ Quantity = Callable[[Measurement, InsertionConfig], np.ndarray]
 
 
 class Observation(NamedTuple):
-    """One entry of the observation: how many numbers, and the function that gives them [B, size]."""
+    """One entry of the observation: its length, and the function that gives it, [B, size]."""
 
     size: int
     value: Quantity
@@ -156,45 +145,39 @@ def reward_weights(config: InsertionConfig) -> dict[str, float]:
     Raises:
         ValueError: If the config names a term that does not exist.
     """
-    unknown = set(config.reward_weights).difference(REWARD_TERMS)
+    unknown = sorted(set(config.reward_weights).difference(REWARD_TERMS))
     if unknown:
         raise ValueError(f"reward_weights: expected names of {list(REWARD_TERMS)}, got {unknown}")
-    weights = {
-        name: config.reward_weights.get(name, term.weight) for name, term in REWARD_TERMS.items()
-    }
+    weights = {name: term.weight for name, term in REWARD_TERMS.items()} | config.reward_weights
     return {name: weight for name, weight in weights.items() if weight}
 
 
 def output_names(config: InsertionConfig) -> list[str]:
     """Return the names of what :func:`evaluate` gives, but for the reward."""
-    return [
-        *observation_sizes(config),
-        SUCCESS,
-        *(f"{METRICS_KEY}/{name}" for name in METRICS),
-        *(f"{REWARD_TERMS_KEY}/{name}" for name in reward_weights(config)),
-    ]
+    metrics = [f"{keys.METRICS}/{name}" for name in METRICS]
+    terms = [f"{keys.REWARD_TERMS}/{name}" for name in reward_weights(config)]
+    return [*observation_sizes(config), keys.SUCCESS, *metrics, *terms]
 
 
 def evaluate(signals: Signals, tare: np.ndarray, config: InsertionConfig) -> dict[str, np.ndarray]:
-    """Return everything that the task writes at the end of a control step, float64 or bool.
+    """Return all that the task writes: arrays [B, n] by name, nested names as ``group/name``.
 
     Args:
         signals: Signals of every substep, [B, substeps, *shape].
         tare: Wrist reading of the unloaded tool at rest, [6] [N] and [N m].
         config: The task.
-
-    Returns:
-        Arrays [B, n] by name, nested names as ``group/name``; the reward is the sum of its terms.
     """
     m = measure(signals, tare)
-    out = {name: OBSERVATIONS[name].value(m, config) for name in observation_sizes(config)}
-    out[SUCCESS] = success(m, config)[:, None]
-    for name, quantity in METRICS.items():
-        out[f"{METRICS_KEY}/{name}"] = quantity(m, config)[:, None]
-    terms = {
-        name: -weight * REWARD_TERMS[name].cost(m, config)
+    terms = [
+        -weight * REWARD_TERMS[name].cost(m, config)
         for name, weight in reward_weights(config).items()
-    }
-    out |= {f"{REWARD_TERMS_KEY}/{name}": term[:, None] for name, term in terms.items()}
-    out[REWARD] = np.sum(list(terms.values()), axis=0)[:, None]
-    return out
+    ]
+    values = [
+        *(OBSERVATIONS[name].value(m, config) for name in observation_sizes(config)),
+        success(m, config),
+        *(metric(m, config) for metric in METRICS.values()),
+        *terms,
+    ]
+    out = dict(zip(output_names(config), values, strict=True))
+    out[keys.REWARD] = np.sum(terms, axis=0)
+    return {name: value.reshape(len(m.wrench), -1) for name, value in out.items()}

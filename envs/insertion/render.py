@@ -1,103 +1,22 @@
-"""Pictures of rollouts. OpenGL is not touched before the first :class:`Renderer` is made."""
+"""Pictures of rollouts. OpenGL is not touched before the first one is made."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 from dm_control import composer
 
-from ..opengl import make_context
+from ..opengl import find_backend
 from .model.arena import CAMERAS
 from .physics.simulation import STATE
 
 if TYPE_CHECKING:
     from .batched_env import InsertionEnv
 
-__all__ = ["Renderer", "render_composer", "render_states"]
-
-
-class Renderer:
-    """A renderer of MuJoCo states off screen; a context manager.
-
-    Args:
-        model: What to render; every later frame must be of a model of the same shape.
-        width: Width [pixel].
-        height: Height [pixel].
-
-    Raises:
-        RenderingUnavailable: If no OpenGL backend works.
-        ValueError: If a size is below 1.
-    """
-
-    def __init__(self, model: mujoco.MjModel, width: int = 640, height: int = 480) -> None:
-        if width < 1 or height < 1:
-            raise ValueError(f"width and height: expected at least 1, got {width} x {height}")
-        model.vis.global_.offwidth = max(width, model.vis.global_.offwidth)
-        model.vis.global_.offheight = max(height, model.vis.global_.offheight)
-        self._size = (height, width)
-        self._gl = make_context(width, height)
-        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150.value)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
-        self._scene = mujoco.MjvScene(model, maxgeom=1000)
-        self._option = mujoco.MjvOption()
-        self._option.geomgroup[4] = 0  # the collision plane
-        self._camera = mujoco.MjvCamera()
-        self._data = mujoco.MjData(model)
-
-    def frame(
-        self, model: mujoco.MjModel, data: mujoco.MjData, camera: str = CAMERAS[0]
-    ) -> np.ndarray:
-        """Return one picture [height, width, 3], uint8.
-
-        Raises:
-            ValueError: If the camera is unknown; the message lists the choices.
-        """
-        names = [model.camera(index).name for index in range(model.ncam)]
-        if camera not in names:
-            raise ValueError(f"camera: expected one of {names}, got {camera!r}")
-        self._gl.make_current()
-        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED.value
-        self._camera.fixedcamid = names.index(camera)
-        mujoco.mjv_updateScene(
-            model, data, self._option, None, self._camera,
-            mujoco.mjtCatBit.mjCAT_ALL.value, self._scene,
-        )  # fmt: skip
-        height, width = self._size
-        viewport = mujoco.MjrRect(0, 0, width, height)
-        mujoco.mjr_render(viewport, self._scene, self._context)
-        pixels = np.empty((height, width, 3), dtype=np.uint8)
-        mujoco.mjr_readPixels(pixels, None, viewport, self._context)
-        return np.flipud(pixels)
-
-    def state_frame(
-        self, model: mujoco.MjModel, state: np.ndarray, camera: str = CAMERAS[0]
-    ) -> np.ndarray:
-        """Return one picture [height, width, 3] of a full physics state [nstate]."""
-        mujoco.mj_setState(model, self._data, np.asarray(state, dtype=np.float64), STATE)
-        mujoco.mj_forward(model, self._data)
-        return self.frame(model, self._data, camera)
-
-    def close(self) -> None:
-        """Free the OpenGL context."""
-        if self._gl is not None:
-            self._context.free()
-            self._gl.free()
-            self._gl = None
-
-    def __enter__(self) -> Renderer:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
+__all__ = ["render_composer", "render_states"]
 
 
 def render_states(
@@ -124,14 +43,17 @@ def render_states(
 
     Raises:
         RenderingUnavailable: If no OpenGL backend works.
-        ValueError: If the camera is unknown, or there are no states.
+        ValueError: If the camera is unknown, a size is below 1, or there are no states.
     """
     model = env.slot_model(slot)
-    with Renderer(model, width, height) as renderer:
-        frames = [
-            renderer.state_frame(model, state[slot] if np.ndim(state) > 1 else state, camera)
-            for state in states
-        ]
+    data = mujoco.MjData(model)
+    frames = []
+    with _renderer(model, camera, width, height) as renderer:
+        for state in states:
+            own = np.asarray(state[slot] if np.ndim(state) > 1 else state, dtype=np.float64)
+            mujoco.mj_setState(model, data, own, STATE)
+            mujoco.mj_forward(model, data)
+            frames.append(_picture(renderer, data, camera))
     if not frames:
         raise ValueError("states: expected at least one, got none")
     return np.stack(frames)
@@ -140,12 +62,25 @@ def render_states(
 def render_composer(
     env: composer.Environment, camera: str = CAMERAS[0], width: int = 640, height: int = 480
 ) -> np.ndarray:
-    """Return a picture [height, width, 3], uint8, of a composer environment as it stands.
+    """Return a picture [height, width, 3], uint8, of a composer environment as it stands."""
+    with _renderer(env.physics.model.ptr, camera, width, height) as renderer:
+        return _picture(renderer, env.physics.data.ptr, camera)
 
-    Raises:
-        RenderingUnavailable: If no OpenGL backend works.
-        ValueError: If the camera is unknown.
-    """
-    model, data = env.physics.model.ptr, env.physics.data.ptr
-    with Renderer(model, width, height) as renderer:
-        return renderer.frame(model, data, camera)
+
+def _renderer(model: mujoco.MjModel, camera: str, width: int, height: int) -> mujoco.Renderer:
+    if width < 1 or height < 1:
+        raise ValueError(f"width and height: expected at least 1, got {width} x {height}")
+    names = [model.camera(index).name for index in range(model.ncam)]
+    if camera not in names:
+        raise ValueError(f"camera: expected one of {names}, got {camera!r}")
+    find_backend()
+    model.vis.global_.offwidth = max(width, model.vis.global_.offwidth)
+    model.vis.global_.offheight = max(height, model.vis.global_.offheight)
+    return mujoco.Renderer(model, height, width)
+
+
+def _picture(renderer: mujoco.Renderer, data: mujoco.MjData, camera: str) -> np.ndarray:
+    option = mujoco.MjvOption()
+    option.geomgroup[4] = 0  # the collision plane
+    renderer.update_scene(data, camera, option)
+    return renderer.render()

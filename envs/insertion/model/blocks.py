@@ -13,7 +13,7 @@ Vector3 = tuple[float, float, float]
 
 
 def chamfered_vertices(half_size: Vector3, chamfer: tuple[float, float], side: int) -> np.ndarray:
-    """Return corners of a box whose top edge on ``side`` (+1 or -1 along x) is cut, [10 or 8, 3]."""
+    """Return the corners [10 or 8, 3] of a box with the top edge cut on ``side`` of x, +1 or -1."""
     size_x, size_y, size_z = half_size
     cut_x, cut_z = chamfer
     outline = [(-side * size_x, -size_z), (side * size_x, -size_z), (-side * size_x, size_z)]
@@ -64,7 +64,7 @@ class StandingBlock(_Block):
             chamfer: Cut along x and z [m].
             inner_side: +1 where the gap is at larger x than the block, else -1.
             mass: Mass [kg].
-            friction: Sliding friction.
+            friction: Coefficient of sliding friction.
             rgba: Color.
         """
         material = self._start(name, rgba)

@@ -12,13 +12,7 @@ import numpy as np
 from ..config import InsertionConfig
 from .signals import Signals
 
-__all__ = [
-    "check_action",
-    "jacobian",
-    "joint_displacement",
-    "orientation_error",
-    "set_points",
-]
+__all__ = ["check_action", "jacobian", "orientation_error", "set_points"]
 
 TOOL_DOWN_AXES = np.array([(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)])
 """Rows: x, y and z axis of a tool that points straight down."""
@@ -48,7 +42,7 @@ def set_points(
 
 
 def jacobian(signals: Signals) -> np.ndarray:
-    """Return the tool's geometric Jacobian [B, 6, 7]: rows translation, rotation; columns joints."""
+    """Return the tool's geometric Jacobian [B, 6, 7]: translation, then rotation, by joint."""
     axes = signals["joint_axis"]  # (B, 7, 3)
     arms = signals["tool_position"][:, None] - signals["joint_origin"]  # (B, 7, 3)
     result = np.empty((len(axes), 6, axes.shape[1]))

@@ -9,6 +9,7 @@ import numpy as np
 from mujoco import rollout
 
 from ..config import InsertionConfig
+from ..model.scene import compile_model
 from .start import Episode, StartState
 
 __all__ = ["STATE", "BatchSimulation", "has_diverged"]
@@ -39,26 +40,25 @@ class BatchSimulation:
     nothing but state and control: slots, threads and restored states cannot influence each other.
 
     Args:
-        model: Compiled task.
         config: The task's settings.
         num_envs: B.
         num_threads: 1 runs in the calling thread; more make a pool that lives as long as this.
 
     Attributes:
+        models: The model of each environment.
         state: Full physics state: time, positions, velocities, [B, nstate].
         sensors: Sensordata of the last substep, [B, n].
         yaw: Yaw of the left and right standing block at the last reset, [B, 2] [rad].
         start: The nominal start of an episode.
     """
 
-    def __init__(
-        self, model: mujoco.MjModel, config: InsertionConfig, num_envs: int, num_threads: int
-    ) -> None:
+    def __init__(self, config: InsertionConfig, num_envs: int, num_threads: int) -> None:
+        model = compile_model(config)
         self.config = config
         self.start = StartState(model, config)
         # Per-environment models exist only where an episode's yaw is part of the model.
         shared = not self.start.yaw_in_model
-        self._models = [model if shared else copy.copy(model) for _ in range(num_envs)]
+        self.models = [model if shared else copy.copy(model) for _ in range(num_envs)]
         self._data = [mujoco.MjData(model) for _ in range(num_threads)]
         self._rollout = rollout.Rollout(nthread=num_threads if num_threads > 1 else 0)
         steps, size = config.substeps, mujoco.mj_stateSize(model, STATE)
@@ -69,23 +69,19 @@ class BatchSimulation:
         self._trace = np.zeros((num_envs, steps, self.start.layout.size))
         self._controls = np.zeros((num_envs, steps, model.nu))
 
-    def slot_model(self, slot: int) -> mujoco.MjModel:
-        """Return the model of one environment."""
-        return self._models[slot]
-
     def reset(self, slot: int, episode: Episode) -> np.ndarray:
-        """Start ``episode`` in a slot; return its sensors as a trace of one substep [1, n]."""
-        model, data = self._models[slot], self._data[0]
+        """Start ``episode`` in a slot; return its sensors as a trace of one substep, [1, 1, n]."""
+        model, data = self.models[slot], self._data[0]
         self.set_yaw(slot, episode.yaw)
         self.start.hold(model, data, self.start.qpos(model, episode))
         mujoco.mj_getState(model, data, self.state[slot], STATE)
         self.sensors[slot] = data.sensordata
-        return data.sensordata.copy()[None]
+        return data.sensordata.copy()[None, None]
 
     def set_yaw(self, slot: int, yaw: np.ndarray) -> None:
         """Set the episode's yaw [2] of a slot."""
         self.yaw[slot] = yaw
-        self.start.set_yaw(self._models[slot], yaw)
+        self.start.set_yaw(self.models[slot], yaw)
 
     def step(
         self, controls: np.ndarray, active: np.ndarray | None = None
@@ -102,12 +98,12 @@ class BatchSimulation:
         """
         self._controls[:] = controls[:, None]
         self._rollout.rollout(
-            self._models, self._data, self.state, self._controls, control_spec=CONTROL,
+            self.models, self._data, self.state, self._controls, control_spec=CONTROL,
             skip_checks=True, nstep=self.config.substeps,
             state=self._states, sensordata=self._trace,
         )  # fmt: skip
         last = self._states[:, -1]
-        diverged = has_diverged(last, self.state[:, 0], self._models[0], self.config)
+        diverged = has_diverged(last, self.state[:, 0], self.models[0], self.config)
         if active is not None:
             diverged &= active
         stepped = ~diverged if active is None else active & ~diverged

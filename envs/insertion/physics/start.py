@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -19,14 +18,7 @@ __all__ = ["Episode", "StartState", "draw_episode"]
 SETTLE_TIME = 0.5
 ARM_JOINTS = tuple(f"sawyer/right_j{index}" for index in range(NUM_JOINTS))
 BLOCK_BODIES = ("left_block/", "right_block/")
-
-
-class Random(Protocol):
-    """What a reset needs of a generator: numpy's Generator and RandomState both have it."""
-
-    def uniform(self, low: float, high: float, size: int) -> np.ndarray:
-        """Draw from U[low, high)."""
-        ...
+Random = np.random.Generator | np.random.RandomState
 
 
 @dataclasses.dataclass(frozen=True)
