@@ -88,7 +88,10 @@ def _choose_at_first_use(module_name: str, name: str) -> None:
             with _mujoco_gl(backend):
                 importlib.reload(module)
         except Exception as error:  # of many kinds, from drivers and their bindings
-            raise RenderingUnavailable(f"rendering with {backend!r}: {error}") from error
+            raise RenderingUnavailable(
+                f"PYOPENGL_PLATFORM: expected {backend!r}, which works here, or no value in this "
+                f"process, got {os.environ.get('PYOPENGL_PLATFORM')!r}: {error}"
+            ) from error
         return getattr(module, name)(*args, **kwargs)
 
     setattr(module, name, construct)

@@ -180,4 +180,4 @@ def evaluate(signals: Signals, tare: np.ndarray, config: InsertionConfig) -> dic
     ]
     out = dict(zip(output_names(config), values, strict=True))
     out[keys.REWARD] = np.sum(terms, axis=0)
-    return {name: value.reshape(len(m.wrench), -1) for name, value in out.items()}
+    return {name: value if value.ndim == 2 else value[:, None] for name, value in out.items()}
