@@ -1,7 +1,7 @@
 """How hand-written controllers fare on the block insertion: the calibration of the task.
 
-Prints a table of success rates with Wilson 95 % intervals for the paper's proportional controller and
-for a scripted press-and-drag, which shows that a solution exists where the controller fails:
+Prints a table of success rates with Wilson 95 % intervals for the paper's proportional controller
+and for a scripted press-and-drag, which shows that a solution exists where the controller fails:
 
     python benchmarks/controllers.py --episodes 200 --threads 2
 """
@@ -43,7 +43,7 @@ class Row:
 
 
 def rows() -> list[Row]:
-    """The settings of the paper, and the same for press-and-drag where blocks are misaligned."""
+    """Return the settings of the paper, and press-and-drag where blocks are misaligned."""
     hand, drag = POLICIES
     wanted = {0.0: ">= 98 %", 0.3: "<= 60 %"}
     uniform = [
@@ -70,14 +70,14 @@ Policy = Callable[[TensorDictBase, int], Tensor]
 
 
 def hand_controller() -> Policy:
-    """The paper's pi_H: u = clip(K (x_g - x), +-0.5) with K = 25 / m."""
+    """Return the paper's pi_H: u = clip(K (x_g - x), +-0.5) with K = 25 / m."""
     controller = ProportionalController(gain=0.5, clip=0.5, unit=UNIT)
     return lambda observation, step: controller.act(observation)
 
 
 @dataclasses.dataclass(frozen=True)
 class PressAndDrag:
-    """Presses on one standing block at a time and drags it outwards, then inserts: a fixed sequence.
+    """A fixed sequence: press on one standing block at a time, drag it outwards, then insert.
 
     Friction between held block and standing block is larger than below the standing block, so it
     follows. Lengths in metres.
@@ -96,7 +96,7 @@ class PressAndDrag:
     """Steps: approach, drag right, cross over, drag left, return; then the insertion."""
 
     def __call__(self, observation: TensorDictBase, step: int) -> Tensor:
-        """Action [B, 3]."""
+        """Return the action [B, 3]."""
         error = observation["goal"] - observation["end_effector_position"]
         x, z = self._target(step)
         action = error / UNIT
@@ -106,7 +106,7 @@ class PressAndDrag:
         return action.clamp(-1, 1)
 
     def _target(self, step: int) -> tuple[float, float | None]:
-        """Position relative to the goal (x, z); z ``None`` means press."""
+        """Return the position relative to the goal (x, z); z ``None`` means press."""
         ends = [sum(self.durations[: i + 1]) for i in range(5)]
         far, above = self.reach + self.drag, self.rest + self.clearance
         if step < ends[0]:
@@ -123,14 +123,14 @@ class PressAndDrag:
 
 
 def make_policy(row: Row) -> Policy:
-    """The policy of a row; the compliant variant presses harder for the same force, and lags behind a longer drag."""
+    """Return the policy of a row; the compliant variant presses harder and lags behind."""
     if row.policy == "hand controller":
         return hand_controller()
     return PressAndDrag(press=0.5) if row.variant == "sim" else PressAndDrag(press=1.0, drag=0.03)
 
 
 def run(row: Row, episodes: int, num_envs: int, threads: int, seed: int) -> tuple[int, int]:
-    """Successes and episodes, the latter rounded up to whole batches."""
+    """Return successes and episodes, the latter rounded up to whole batches."""
     env = InsertionEnv(
         row.variant, num_envs=num_envs, num_threads=threads, seed=seed, **row.overrides
     )
@@ -152,7 +152,7 @@ def run(row: Row, episodes: int, num_envs: int, threads: int, seed: int) -> tupl
 
 
 def wilson(successes: int, trials: int, z: float = 1.959964) -> tuple[float, float]:
-    """Wilson's 95 % interval of a rate."""
+    """Return Wilson's 95 % interval of a rate."""
     rate = successes / trials
     center = rate + z * z / (2 * trials)
     spread = z * math.sqrt(rate * (1 - rate) / trials + z * z / (4 * trials**2))
@@ -161,7 +161,7 @@ def wilson(successes: int, trials: int, z: float = 1.959964) -> tuple[float, flo
 
 
 def main() -> None:
-    """Runs every row and prints it as soon as it is known."""
+    """Run every row and print it as soon as it is known."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--episodes", type=int, default=200, help="episodes of each row")
     parser.add_argument("--num-envs", type=int, default=50, help="environments of a batch")

@@ -8,19 +8,13 @@ Example:
 
 from __future__ import annotations
 
-from . import _quiet as _quiet  # before anything that imports dm_control
+from .opengl import RenderingUnavailable  # isort: skip - it has to import MuJoCo first
 from .composer import ComposerEnv
 from .insertion.batched_env import InsertionEnv
+from .insertion.composer_env import NAMES, load
 from .insertion.composer_task import InsertionTask
 from .insertion.config import InsertionConfig, make_config
-from .insertion.registry import NAMES, load
-from .insertion.render import (
-    Renderer,
-    RenderingUnavailable,
-    render_composer,
-    render_states,
-    write_video,
-)
+from .insertion.render import render_composer, render_states
 
 __all__ = [
     "NAMES",
@@ -28,11 +22,9 @@ __all__ = [
     "InsertionConfig",
     "InsertionEnv",
     "InsertionTask",
-    "Renderer",
     "RenderingUnavailable",
     "load",
     "make_config",
     "render_composer",
     "render_states",
-    "write_video",
 ]

@@ -10,27 +10,33 @@ from dm_control import composer
 from torchrl.data import Binary, Composite, TensorSpec
 from torchrl.envs import DMControlWrapper
 
-from rrl.keys import REWARD_TERMS
+from rrl.keys import METRICS, REWARD_TERMS
+
+__all__ = ["ComposerEnv"]
 
 
 class ComposerEnv(DMControlWrapper):
-    """A :class:`dm_control.composer.Environment` with ``batch_size []``, in float32.
+    """A :class:`dm_control.composer.Environment` with ``batch_size []``.
 
-    Reads ``action``; writes the environment's observables under their own names, ``reward`` [1],
-    ``done``, ``terminated`` and ``truncated`` [1]. An episode that ends with discount 1, at the time
-    limit for instance, is truncated. Our own task's keys are those of
-    :class:`~rrl.envs.InsertionEnv`, with ``("reward_terms", name)`` nested.
+    Reads ``action``; writes the environment's observables under their own names (those of the
+    groups ``metrics/`` and ``reward_terms/`` nested), ``reward`` [1], ``done``, ``terminated`` and
+    ``truncated`` [1]. An episode that ends with discount 1, at the time limit for instance, is
+    truncated. Our own task's keys are those of :class:`~rrl.envs.InsertionEnv`.
 
     Args:
-        env: a composer environment, for instance ``rrl.envs.load("insertion-real")`` or
+        env: A composer environment, for instance ``rrl.envs.load("insertion-real")`` or
             ``dm_control.manipulation.load(...)``. A pixel observable stays uint8.
-        seed: of the environment's ``random_state``; ``None`` leaves it as it is.
+        seed: Seed of the environment's ``random_state``; ``None`` leaves it as it is.
+        dtype: Type of what dm_control gives in float64, the action included.
 
     Raises:
-        TypeError: ``env`` is no composer environment.
+        TypeError: If ``env`` is no composer environment.
     """
 
-    def __init__(self, env: composer.Environment, seed: int | None = None) -> None:
+    def __init__(
+        self, env: composer.Environment, seed: int | None = None, dtype: torch.dtype = torch.float32
+    ) -> None:
+        self._dtype = dtype
         super().__init__(env=env)
         if seed is not None:
             self.set_seed(seed)
@@ -39,7 +45,7 @@ class ComposerEnv(DMControlWrapper):
         env = kwargs.get("env")
         if not isinstance(env, composer.Environment):
             raise TypeError(
-                "ComposerEnv needs a dm_control.composer.Environment, for instance "
+                "env: expected a dm_control.composer.Environment, for instance "
                 f"rrl.envs.load('insertion-real'), got {type(env).__name__}; use torchrl's "
                 "DMControlWrapper for the control suite"
             )
@@ -48,17 +54,25 @@ class ComposerEnv(DMControlWrapper):
         super()._make_specs(env)
         observation = Composite()
         for name, spec in self.full_observation_spec.items():
-            observation[_key(name)] = _cast(spec)
+            observation[_key(name)] = self._cast(spec)
         self.observation_spec = observation
-        self.reward_spec = _cast(self.full_reward_spec["reward"])
-        self.action_spec = _cast(self.full_action_spec["action"])
+        self.reward_spec = self._cast(self.full_reward_spec["reward"])
+        self.action_spec = self._cast(self.full_action_spec["action"])
+
+    def _cast(self, spec: TensorSpec) -> TensorSpec:
+        """Return the spec with ``dtype`` for float64 and a flag for bool; others stay."""
+        if spec.dtype == torch.float64:
+            return spec.to(self._dtype)
+        if spec.dtype == torch.bool:
+            return Binary(n=spec.shape[-1], shape=spec.shape, dtype=torch.bool)
+        return spec
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is not None:
             self._env.random_state.seed(seed)
 
     def read_obs(self, observations: dict[str, Any]) -> dict[str, Any]:
-        """Observables as tensors of the specs' type and shape; ``reward_terms/`` nested."""
+        """Return the observables as tensors of the specs' type and shape."""
         result: dict[str, Any] = {}
         for name, value in observations.items():
             key = _key(name)
@@ -72,15 +86,6 @@ class ComposerEnv(DMControlWrapper):
 
 
 def _key(name: str) -> str | tuple[str, str]:
-    """Our own reward terms are nested; other names keep their slashes."""
+    """Return the key of an observable: our own groups are nested, other names keep their slash."""
     group, _, item = name.partition("/")
-    return (group, item) if group == REWARD_TERMS and item else name
-
-
-def _cast(spec: TensorSpec) -> TensorSpec:
-    """float64 becomes float32, bool a flag; everything else stays."""
-    if spec.dtype == torch.float64:
-        return spec.to(torch.float32)
-    if spec.dtype == torch.bool:
-        return Binary(n=spec.shape[-1], shape=spec.shape, dtype=torch.bool)
-    return spec
+    return (group, item) if group in (METRICS, REWARD_TERMS) and item else name

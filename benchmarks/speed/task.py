@@ -16,7 +16,6 @@ from omegaconf import OmegaConf
 
 from rrl.envs.insertion import quantities
 from rrl.envs.insertion.config import make_config
-from rrl.envs.insertion.model.scene import compile_model
 from rrl.envs.insertion.physics.control import set_points
 from rrl.envs.insertion.physics.simulation import BatchSimulation
 from rrl.envs.insertion.physics.start import draw_episode
@@ -53,7 +52,7 @@ class PlainInsertion(gymnasium.Env[np.ndarray, np.ndarray]):
             if k not in ("_target_", "variant", "num_threads", "seed")
         }
         self.config = make_config(env["base"]["variant"], base)
-        self.simulation = BatchSimulation(compile_model(self.config), self.config, 1, 1)
+        self.simulation = BatchSimulation(self.config, 1, 1)
         self.random = np.random.default_rng(seed)
         self.keys = list(env["inputs"])
         sizes = {
@@ -88,9 +87,9 @@ class PlainInsertion(gymnasium.Env[np.ndarray, np.ndarray]):
         """Start the next episode; ``seed`` starts the random numbers anew."""
         if seed is not None:
             self.random = np.random.default_rng(seed)
-        trace = self.simulation.reset(0, draw_episode(self.config, self.random))[None]
+        trace = self.simulation.reset(0, draw_episode(self.config, self.random))
         self.steps, self.queue, self.previous_action = 0, [], np.zeros(3)
-        return self._observe(self._measure(trace)), {}
+        return self._observe(self._evaluate(trace)), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Add the residual to the controller's action, and step."""
@@ -100,24 +99,18 @@ class PlainInsertion(gymnasium.Env[np.ndarray, np.ndarray]):
         trace, diverged = self.simulation.step(controls)
         self.steps += 1
         self.previous_action = action
-        measurement = self._measure(trace)
-        reward = (
-            float(quantities.total(quantities.reward_terms(measurement, self.config))[0])
-            * self.reward_scale
-        )
+        outputs = self._evaluate(trace)
+        reward = float(outputs["reward"][0, 0]) * self.reward_scale
         over = self.steps >= self.config.episode_length or bool(diverged[0])
-        info = {"success": bool(quantities.success(measurement, self.config)[0])} if over else {}
-        return self._observe(measurement), reward, False, over, info
+        info = {"success": bool(outputs["success"][0, 0])} if over else {}
+        return self._observe(outputs), reward, False, over, info
 
-    def _measure(self, trace: np.ndarray) -> quantities.Measurement:
-        return quantities.measure(
-            self.simulation.start.layout.views(trace), self.simulation.start.tare
-        )
+    def _evaluate(self, trace: np.ndarray) -> dict[str, np.ndarray]:
+        start = self.simulation.start
+        return quantities.evaluate(start.layout.views(trace), start.tare, self.config)
 
-    def _observe(self, measurement: quantities.Measurement) -> np.ndarray:
-        entries = {
-            key: value[0] for key, value in quantities.observation(measurement, self.config).items()
-        }
+    def _observe(self, outputs: dict[str, np.ndarray]) -> np.ndarray:
+        entries = {name: value[0] for name, value in outputs.items()}
         seen = entries["blocks"]
         if self.noise.any():
             seen = seen + self.noise * self.random.standard_normal(seen.shape)

@@ -11,15 +11,16 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from rrl.keys import ACTION, DIVERGED, REWARD
 from rrl.threads import available_threads
 
 from . import quantities
 from .config import InsertionConfig, make_config
-from .model.scene import compile_model
 from .physics.control import check_action, set_points
 from .physics.simulation import BatchSimulation
 from .physics.start import draw_episode
-from .quantities import Measurement
+
+__all__ = ["InsertionEnv"]
 
 ENVS_PER_THREAD = 8
 """Fewer are not worth a thread."""
@@ -28,40 +29,40 @@ ENVS_PER_THREAD = 8
 class InsertionEnv(EnvBase):
     """Block insertion, ``batch_size [num_envs]``, on :mod:`mujoco.rollout`.
 
-    Reads ``action`` [3] in [-1, 1]: displacement of the set point (x, y, z) in units of ``action_scale``;
-    values outside are clipped. Writes, float32 unless stated:
+    Reads ``action`` [3] in [-1, 1]: displacement of the set point (x, y, z) in units of
+    ``action_scale``; values outside are clipped. Writes, float32 unless stated:
 
-    ==========================  ==========================================================
-    ``end_effector_position``   [3] m
-    ``wrench`` or ``force_z``   [6] N and N m (``sim``), or [1] N (``real``)
-    ``blocks``                  [13] position m, tilt and yaw rad of the left, then the right
-                                standing block; position of the held block, m
-    ``goal``                    [3] m
-    ``success``                 [1] bool, of this very state
-    ``contact_force``           [1] N, largest within the control step
-    ``tilt``                    [1] rad, larger inclination of the two standing blocks
-    ``diverged``                [1] bool, physics failed in this step
-    ``("reward_terms", name)``  [1] each weighted term
-    ``reward``                  [1] their sum
-    ``done`` and its two parts  [1] bool; the time limit and diverged physics are ``truncated``
-    ==========================  ==========================================================
+    ============================  ==========================================================
+    ``end_effector_position``     [3] m
+    ``wrench`` or ``force_z``     [6] N and N m (``sim``), or [1] N (``real``)
+    ``blocks``                    [13] position m, tilt and yaw rad of the left, then the right
+                                  standing block; position of the held block, m
+    ``goal``                      [3] m
+    ``success``                   [1] bool, of this very state
+    ``diverged``                  [1] bool, physics failed in this step
+    ``("metrics", name)``         [1] ``contact_force``, largest in the control step, N;
+                                  ``tilt``, larger inclination of the standing blocks, rad
+    ``("reward_terms", name)``    [1] each weighted term
+    ``reward``                    [1] their sum
+    ``done`` and its two parts    [1] bool; time limit and diverged physics are ``truncated``
+    ============================  ==========================================================
 
-    When physics diverges the episode ends as truncated, with the last finite observation and reward,
-    ``diverged`` is set and :attr:`num_diverged` counts it; the next reset recovers that slot.
+    When physics diverges the episode ends as truncated, with the last finite observation and
+    reward, ``diverged`` is set and :attr:`num_diverged` counts it; a reset recovers the slot.
 
-    Slots are independent: each has its own generator, slot i seeded ``seed + i``, and equals bit for
-    bit a batch of one seeded ``seed + i``.
+    Slots are independent: each has its own generator, slot i seeded ``seed + i``, and equals bit
+    for bit a batch of one seeded ``seed + i``.
 
     Args:
         variant: ``sim`` or ``real``, or a whole :class:`~rrl.envs.InsertionConfig`.
-        num_envs: batch size, 1 or more.
-        num_threads: threads for physics; the results do not depend on it. ``None``: one a core
+        num_envs: Batch size, 1 or more.
+        num_threads: Threads for physics; the results do not depend on it. ``None``: one a core
             (``OMP_NUM_THREADS`` if it is set), for at least eight environments each.
-        seed: of the first slot. ``None`` draws one from torch's global generator.
-        overrides: fields of :class:`~rrl.envs.InsertionConfig` to replace.
+        seed: Seed of the first slot. ``None`` draws one from torch's global generator.
+        overrides: Fields of :class:`~rrl.envs.InsertionConfig` to replace.
 
     Raises:
-        ValueError: unknown variant or setting, values that do not fit together, sizes below 1.
+        ValueError: If a name is unknown, a number is out of range, or values do not fit together.
     """
 
     def __init__(
@@ -78,11 +79,11 @@ class InsertionEnv(EnvBase):
         self.num_envs = num_envs
         self.num_diverged = 0
         threads = num_threads or max(1, min(available_threads(), num_envs // ENVS_PER_THREAD))
-        self._simulation = BatchSimulation(
-            compile_model(self.config), self.config, num_envs, threads
-        )
+        self._simulation = BatchSimulation(self.config, num_envs, threads)
         self._steps = np.zeros(num_envs, dtype=np.int64)
-        self._measurement = _empty_measurement(num_envs)
+        # What the last step wrote: slots that do not step, or diverge, write it again.
+        blank = np.zeros((num_envs, 1, self._simulation.start.layout.size))
+        self._outputs = self._evaluate(blank)
         self._generators: list[np.random.Generator] = []
         self._make_specs()
         self._set_seed(seed)
@@ -95,199 +96,151 @@ class InsertionEnv(EnvBase):
         seed: int | None = 0,
         **overrides: Any,
     ) -> dict[str, int]:
-        """Finds what is wrong with arguments of the constructor without building physics.
+        """Check the constructor's arguments without building physics.
 
         Returns:
             The size of each observation entry.
-
-        Raises:
-            ValueError: what the constructor would raise.
         """
-        for name, value in (
-            ("num_envs", num_envs),
-            ("num_threads", 1 if num_threads is None else num_threads),
-        ):
-            if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-                raise ValueError(f"{name} must be a whole number of at least 1, got {value!r}")
-        if seed is not None and (not isinstance(seed, int) or seed < 0):
-            raise ValueError(f"seed must be a whole number of at least 0, or None, got {seed!r}")
-        return quantities.observation_sizes(make_config(variant, overrides))
-
-    # ---------------------------------------------------------------- specs
+        _check_count("num_envs", num_envs, 1)
+        _check_count("num_threads", 1 if num_threads is None else num_threads, 1)
+        _check_count("seed", 0 if seed is None else seed, 0)
+        config = make_config(variant, overrides)
+        quantities.reward_weights(config)
+        return quantities.observation_sizes(config)
 
     def _make_specs(self) -> None:
         batch = self.num_envs
 
-        def real(size: int) -> Unbounded:
-            return Unbounded((batch, size), dtype=torch.float32)
-
         def flag() -> Binary:
             return Binary(n=1, shape=(batch, 1), dtype=torch.bool)
 
-        sizes = quantities.observation_sizes(self.config)
-        terms = {name: real(1) for name in quantities.reward_term_names(self.config)}
-        self.observation_spec = Composite(
-            **{name: real(size) for name, size in sizes.items()},
-            success=flag(),
-            diverged=flag(),
-            contact_force=real(1),
-            tilt=real(1),
-            reward_terms=Composite(terms, shape=(batch,)),
-            shape=(batch,),
-        )
+        observation = Composite({DIVERGED: flag()}, shape=(batch,))
+        for name in quantities.output_names(self.config):
+            value = self._outputs[name]
+            real = Unbounded(value.shape, dtype=torch.float32)
+            observation[tuple(name.split("/"))] = flag() if value.dtype == bool else real
+        self.observation_spec = observation
         self.action_spec = Bounded(-1.0, 1.0, shape=(batch, 3), dtype=torch.float32)
-        self.reward_spec = real(1)
+        self.reward_spec = Unbounded((batch, 1), dtype=torch.float32)
         self.done_spec = Composite(done=flag(), terminated=flag(), truncated=flag(), shape=(batch,))
-
-    # ---------------------------------------------------------------- randomness
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is None:
             seed = int(torch.randint(2**31, ()).item())
         self._generators = [np.random.default_rng(seed + i) for i in range(self.num_envs)]
 
-    # ---------------------------------------------------------------- reset and step
-
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get("_reset", None)
         slots = np.arange(self.num_envs)
         if mask is not None:
             slots = np.flatnonzero(mask.reshape(self.num_envs).numpy())
-        simulation = self._simulation
         for slot in slots.tolist():
             episode = draw_episode(self.config, self._generators[slot])
-            trace = simulation.reset(slot, episode)[None]
-            self._measure(trace, slice(slot, slot + 1))
+            self._keep(self._simulation.reset(slot, episode), slice(slot, slot + 1))
             self._steps[slot] = 0
         nothing = np.zeros(self.num_envs, dtype=bool)
-        return self._output(diverged=nothing, truncated=None)
-
-    def _measure(self, trace: np.ndarray, where: Any) -> None:
-        """Measures ``trace`` [b, substeps, n] of the slots ``where``."""
-        views = self._simulation.start.layout.views(trace)
-        fresh = quantities.measure(views, self._simulation.start.tare)
-        for old, new in zip(self._measurement, fresh, strict=True):
-            old[where] = new
+        return self._pack(diverged=nothing, truncated=nothing).exclude(REWARD)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        action = tensordict["action"].detach().numpy().astype(np.float64)
+        action = tensordict[ACTION].detach().numpy().astype(np.float64)
         action = check_action(action, self.num_envs)
-        active = self._active(tensordict)
-        simulation = self._simulation
-        signals = simulation.start.layout.views(simulation.sensors)
-        controls = set_points(signals, action, self.config, simulation.start.home)
-        trace, diverged = simulation.step(controls, active)
+        mask = tensordict.get("_step", None)  # slots that take this step; None: all
+        partly = mask is not None and not bool(mask.all())
+        active = mask.reshape(self.num_envs).numpy() if partly else None
+        start = self._simulation.start
+        signals = start.layout.views(self._simulation.sensors)
+        controls = set_points(signals, action, self.config, start.home)
+        trace, diverged = self._simulation.step(controls, active)
+        self._steps += 1 if active is None else active
+        self.num_diverged += int(diverged.sum())
         if active is None and not diverged.any():
-            self._measure(trace, slice(None))
-            self._steps += 1
+            self._keep(trace, slice(None))
         else:
-            stepped = np.ones(self.num_envs, dtype=bool) if active is None else active
-            self.num_diverged += int(diverged.sum())
-            self._measure(trace[stepped & ~diverged], stepped & ~diverged)
-            self._steps += stepped
-        return self._output(diverged, (self._steps >= self.config.episode_length) | diverged)
+            fine = ~diverged if active is None else active & ~diverged
+            self._keep(trace[fine], fine)
+        return self._pack(diverged, (self._steps >= self.config.episode_length) | diverged)
 
-    def _active(self, tensordict: TensorDictBase) -> np.ndarray | None:
-        """Slots that take this step, from TorchRL's ``_step`` mask; ``None`` for all."""
-        mask = tensordict.get("_step", None)
-        if mask is None or bool(mask.all()):
-            return None
-        return mask.reshape(self.num_envs).numpy()
+    def _evaluate(self, trace: np.ndarray) -> dict[str, np.ndarray]:
+        start = self._simulation.start
+        return quantities.evaluate(start.layout.views(trace), start.tare, self.config)
 
-    def _output(self, diverged: np.ndarray, truncated: np.ndarray | None) -> TensorDictBase:
-        """Everything that is written; with reward and done where ``truncated`` is given."""
-        m, config = self._measurement, self.config
-        terms = quantities.reward_terms(m, config)
-        entries: dict[str, Any] = {
-            name: _tensor(value) for name, value in quantities.observation(m, config).items()
+    def _keep(self, trace: np.ndarray, where: slice | np.ndarray) -> None:
+        """Evaluate the ``trace`` [b, substeps, n] of the slots ``where``."""
+        for name, value in self._evaluate(trace).items():
+            self._outputs[name][where] = value
+
+    def _pack(self, diverged: np.ndarray, truncated: np.ndarray) -> TensorDict:
+        """Return everything that a step writes, from the outputs and two flags [num_envs]."""
+        outputs = {
+            **self._outputs,
+            DIVERGED: diverged[:, None],
+            "truncated": truncated[:, None],
+            "done": truncated[:, None],
+            "terminated": np.zeros((self.num_envs, 1), dtype=bool),
         }
-        entries["success"] = torch.from_numpy(quantities.success(m, config)[:, None])
-        entries["diverged"] = torch.from_numpy(diverged[:, None])
-        entries["contact_force"] = _tensor(m.contact_force[:, None])
-        entries["tilt"] = _tensor(m.inclination.max(axis=1)[:, None])
-        entries["reward_terms"] = self._pack(
-            {name: _tensor(value[:, None]) for name, value in terms.items()}
-        )
-        terminated = np.zeros((self.num_envs, 1), dtype=bool)
-        done = terminated.copy() if truncated is None else truncated[:, None]
-        entries["terminated"] = torch.from_numpy(terminated)
-        entries["truncated"] = torch.from_numpy(done)
-        entries["done"] = torch.from_numpy(done.copy())
-        if truncated is not None:
-            entries["reward"] = _tensor(quantities.total(terms)[:, None])
-        return self._pack(entries)
-
-    def _pack(self, entries: dict[str, Any]) -> TensorDict:
+        entries: dict[str, Any] = {}
+        groups: dict[str, dict[str, torch.Tensor]] = {}
+        for name, value in outputs.items():
+            tensor = torch.from_numpy(value.astype(bool if value.dtype == bool else np.float32))
+            group, _, item = name.partition("/")
+            (groups.setdefault(group, {}) if item else entries)[item or name] = tensor
         # The entries are right by construction; checking each would cost as much as the physics.
-        return TensorDict._new_unsafe(entries, batch_size=self.batch_size, device=self.device)
-
-    # ---------------------------------------------------------------- state
+        options: dict[str, Any] = {"batch_size": self.batch_size, "device": self.device}
+        for group, items in groups.items():
+            entries[group] = TensorDict._new_unsafe(items, **options)
+        return TensorDict._new_unsafe(entries, **options)
 
     def physics_state(self) -> np.ndarray:
-        """Full physics states [num_envs, nstate]: time, positions, velocities. A copy."""
+        """Return a copy of the physics states [num_envs, nstate]: time, positions, velocities."""
         return self._simulation.state.copy()
 
     def slot_model(self, slot: int) -> mujoco.MjModel:
-        """The MuJoCo model of one slot, for rendering its physics states."""
-        return self._simulation.slot_model(slot)
+        """Return the MuJoCo model of one slot, for rendering its physics states."""
+        return self._simulation.models[slot]
 
     def get_extra_state(self) -> dict[str, Any]:
-        """Everything that a run needs to go on in the middle of an episode, bit for bit.
-
-        Part of ``state_dict()``: physics, step counters, last measurement and random generators.
-        """
-        simulation = self._simulation
-        return {
-            "physics": torch.from_numpy(simulation.state.copy()),
-            "sensors": torch.from_numpy(simulation.sensors.copy()),
-            "yaw": torch.from_numpy(simulation.yaw.copy()),
-            "steps": torch.from_numpy(self._steps.copy()),
-            "measurement": {
-                name: torch.from_numpy(value.copy())
-                for name, value in self._measurement._asdict().items()
-            },
-            "generators": [generator.bit_generator.state for generator in self._generators],
-            "num_diverged": self.num_diverged,
-        }
+        """Return what ``state_dict()`` needs to go on in the middle of an episode, bit for bit."""
+        arrays = {name: torch.from_numpy(value.copy()) for name, value in self._arrays().items()}
+        generators = [generator.bit_generator.state for generator in self._generators]
+        return {**arrays, "generators": generators, "num_diverged": self.num_diverged}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Restores what :meth:`get_extra_state` gave.
+        """Restore what :meth:`get_extra_state` returned.
 
         Raises:
-            ValueError: a state of another number of environments or another variant.
+            ValueError: If the state is of another number of environments or another variant.
         """
         simulation = self._simulation
         if tuple(state["physics"].shape) != simulation.state.shape:
             raise ValueError(
-                f"the saved state has physics of shape {tuple(state['physics'].shape)} "
-                f"(environments, state), this environment {simulation.state.shape}: make the "
-                "environment with the same variant and num_envs"
+                f"state: expected physics of shape {simulation.state.shape} (environments, state), "
+                f"got {tuple(state['physics'].shape)}; use the same variant and num_envs"
             )
-        simulation.state[:] = state["physics"].numpy()
-        simulation.sensors[:] = state["sensors"].numpy()
-        for slot, yaw in enumerate(state["yaw"].numpy()):
+        for name, value in self._arrays().items():
+            value[:] = state[name].numpy()
+        for slot, yaw in enumerate(simulation.yaw.copy()):
             simulation.set_yaw(slot, yaw)
-        self._steps[:] = state["steps"].numpy()
-        for name, value in self._measurement._asdict().items():
-            value[:] = state["measurement"][name].numpy()
         for generator, saved in zip(self._generators, state["generators"], strict=True):
             generator.bit_generator.state = saved
         self.num_diverged = int(state["num_diverged"])
 
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """Return the arrays, by name, that hold the environment's state."""
+        simulation = self._simulation
+        return {
+            "physics": simulation.state,
+            "sensors": simulation.sensors,
+            "yaw": simulation.yaw,
+            "steps": self._steps,
+            **{f"outputs/{name}": value for name, value in self._outputs.items()},
+        }
+
     def close(self, **kwargs: Any) -> None:
-        """Ends the physics threads."""
+        """End the physics threads."""
         self._simulation.close()
         super().close(**kwargs)
 
 
-def _tensor(array: np.ndarray) -> torch.Tensor:
-    return torch.from_numpy(array.astype(np.float32))
-
-
-def _empty_measurement(num_envs: int) -> Measurement:
-    def zeros(*shape: int) -> np.ndarray:
-        return np.zeros((num_envs, *shape))
-
-    return Measurement(
-        zeros(3), zeros(3), zeros(2, 3), zeros(2), zeros(2), zeros(2), zeros(6), zeros()
-    )
+def _check_count(name: str, value: object, least: int) -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or value < least:
+        raise ValueError(f"{name}: expected a whole number of at least {least}, got {value!r}")

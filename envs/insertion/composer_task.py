@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -12,7 +11,7 @@ from dm_control import composer
 from dm_control.composer.observation import observable
 from dm_env import specs
 
-from rrl.keys import DIVERGED, REWARD_TERMS, SUCCESS
+from rrl.keys import DIVERGED, REWARD
 
 from . import quantities
 from .config import InsertionConfig
@@ -20,7 +19,8 @@ from .model.scene import build_scene
 from .physics.control import check_action, set_points
 from .physics.simulation import STATE, has_diverged
 from .physics.start import StartState, draw_episode
-from .quantities import Measurement
+
+__all__ = ["InsertionTask"]
 
 
 class InsertionTask(composer.Task):
@@ -31,140 +31,108 @@ class InsertionTask(composer.Task):
     ``legacy_step=False`` (see :func:`rrl.envs.load`).
 
     Args:
-        config: the task's settings.
+        config: The task's settings.
     """
 
     def __init__(self, config: InsertionConfig) -> None:
-        self.config = config.validate()
-        self._scene = build_scene(config)
+        self.config = config
+        self.num_diverged = 0
+        self._arena = build_scene(config)
         self._start: StartState | None = None
         self._trace: list[np.ndarray] = []
         self._sensors = np.zeros(0)
         self._start_time = np.zeros(1)
-        self._measurement: Measurement | None = None
-        self._diverged = False
-        self.num_diverged = 0
+        self._outputs: dict[str, np.ndarray] = {}
         self.set_timesteps(config.control_timestep, config.physics_timestep)
-        self._observables = self._make_observables()
+        self._observables = OrderedDict(
+            (name, self._observable(name)) for name in (*quantities.output_names(config), DIVERGED)
+        )
+
+    def _observable(self, name: str) -> observable.Generic:
+        result = observable.Generic(lambda physics: self._outputs[name][0])
+        result.enabled = True
+        return result
 
     @property
     def root_entity(self) -> composer.Entity:
         """The arena."""
-        return self._scene.arena
+        return self._arena
 
     @property
     def task_observables(self) -> OrderedDict:
-        """Observation of the task, the same keys as the batched environment's."""
+        """What the batched environment writes, nested names as ``group/name``."""
         return self._observables
-
-    @property
-    def measurement(self) -> Measurement:
-        """What the last control step showed, batch of one."""
-        if self._measurement is None:
-            raise RuntimeError("nothing has been measured yet: reset the environment first")
-        return self._measurement
-
-    def _make_observables(self) -> OrderedDict:
-        config = self.config
-
-        def entry(function: Callable[[Measurement], np.ndarray]) -> observable.Generic:
-            result = observable.Generic(lambda physics: function(self.measurement))
-            result.enabled = True
-            return result
-
-        def part(name: str) -> observable.Generic:
-            return entry(lambda m: quantities.observation(m, config)[name][0])
-
-        def term(name: str) -> observable.Generic:
-            return entry(lambda m: quantities.reward_terms(m, config)[name])
-
-        result = OrderedDict((name, part(name)) for name in quantities.observation_sizes(config))
-        result["contact_force"] = entry(lambda m: m.contact_force.copy())
-        result["tilt"] = entry(lambda m: m.inclination.max(axis=-1))
-        result[SUCCESS] = entry(lambda m: quantities.success(m, config))
-        result[DIVERGED] = entry(lambda m: np.array([self._diverged]))
-        for name in quantities.reward_term_names(config):
-            result[f"{REWARD_TERMS}/{name}"] = term(name)
-        return result
-
-    def action_spec(self, physics: Any) -> specs.BoundedArray:
-        """Normalised displacement (x, y, z) in [-1, 1]."""
-        del physics
-        return specs.BoundedArray((3,), np.float64, -1.0, 1.0, name="x\ty\tz")
-
-    def after_compile(self, physics: Any, random_state: np.random.RandomState) -> None:
-        """Finds the start state for the compiled model."""
-        del random_state
-        if self._start is None:
-            self._start = StartState(physics.model.ptr, self.config)
-        self.initialize_episode(physics, np.random.RandomState(0))
-        self._measure(physics)
-
-    def initialize_episode(self, physics: Any, random_state: np.random.RandomState) -> None:
-        """Draws an episode and puts the physics at its start."""
-        model, data = physics.model.ptr, physics.data.ptr
-        episode = draw_episode(self.config, random_state)
-        self._diverged = False
-        self._trace = []
-        self.start.set_yaw(model, episode.yaw)
-        self.start.hold(model, data, self.start.qpos(model, episode))
-        self._measure(physics)
 
     @property
     def start(self) -> StartState:
         """The nominal start of an episode."""
         if self._start is None:
-            raise RuntimeError("the model is not compiled yet: make a composer.Environment first")
+            raise RuntimeError(
+                "start: expected a compiled model; make a composer.Environment first"
+            )
         return self._start
+
+    def action_spec(self, physics: Any) -> specs.BoundedArray:
+        """Return the spec of the normalized displacement (x, y, z) in [-1, 1]."""
+        return specs.BoundedArray((3,), np.float64, -1.0, 1.0, name="x\ty\tz")
+
+    def after_compile(self, physics: Any, random_state: np.random.RandomState) -> None:
+        """Find the start state for the compiled model."""
+        if self._start is None:
+            self._start = StartState(physics.model.ptr, self.config)
+        self.initialize_episode(physics, np.random.RandomState(0))
+
+    def initialize_episode(self, physics: Any, random_state: np.random.RandomState) -> None:
+        """Draw an episode and put the physics at its start."""
+        model, data = physics.model.ptr, physics.data.ptr
+        episode = draw_episode(self.config, random_state)
+        self.start.set_yaw(model, episode.yaw)
+        self.start.hold(model, data, self.start.qpos(model, episode))
+        self._trace = [data.sensordata.copy()]
+        self._evaluate()
 
     def before_step(
         self, physics: Any, action: np.ndarray, random_state: np.random.RandomState
     ) -> None:
-        """Turns the action into set points.
+        """Turn the action into set points.
 
         Raises:
-            ValueError: an action of another shape than [3], or one that is not finite.
+            ValueError: If the action is not of shape [3], or not finite.
         """
-        del random_state
         action = check_action(np.asarray(action, dtype=np.float64)[None], 1)
         signals = self.start.layout.views(self._sensors[None])
-        controls = set_points(signals, action, self.config, self.start.home)
-        physics.data.ctrl[:] = controls[0]
+        physics.data.ctrl[:] = set_points(signals, action, self.config, self.start.home)[0]
         # The batched environment starts every control step without warm start.
         physics.data.qacc_warmstart[:] = 0
         self._trace = []
         self._start_time = np.array([physics.data.time])
 
     def after_substep(self, physics: Any, random_state: np.random.RandomState) -> None:
-        """Keeps the sensors of every substep."""
-        del random_state
+        """Keep the sensors of every substep."""
         self._trace.append(physics.data.sensordata.copy())
 
     def after_step(self, physics: Any, random_state: np.random.RandomState) -> None:
-        """Measures the end of the control step; a diverged one leaves the last measurement."""
-        del random_state
+        """Evaluate the end of the control step; a diverged one leaves the last outputs."""
         model, data = physics.model.ptr, physics.data.ptr
         state = np.empty((1, mujoco.mj_stateSize(model, STATE)))
         mujoco.mj_getState(model, data, state[0], STATE)
-        self._diverged = bool(has_diverged(state, self._start_time, model, self.config)[0])
-        if self._diverged:
+        if has_diverged(state, self._start_time, model, self.config)[0]:
             self.num_diverged += 1
+            self._outputs[DIVERGED] = np.array([[True]])
         else:
-            self._measure(physics)
+            self._evaluate()
 
-    def _measure(self, physics: Any) -> None:
-        trace = np.array(self._trace) if self._trace else physics.data.sensordata.copy()[None]
-        self._trace = []
+    def _evaluate(self) -> None:
+        trace = np.array(self._trace)
         self._sensors = trace[-1]
-        tare = self.start.tare
-        self._measurement = quantities.measure(self.start.layout.views(trace[None]), tare)
+        signals = self.start.layout.views(trace[None])
+        self._outputs = quantities.evaluate(signals, self.start.tare, self.config)
+        self._outputs[DIVERGED] = np.array([[False]])
 
     def get_reward(self, physics: Any) -> float:
-        """Sum of the weighted reward terms."""
-        del physics
-        return float(quantities.total(quantities.reward_terms(self.measurement, self.config))[0])
+        """Return the sum of the weighted reward terms."""
+        return float(self._outputs[REWARD][0, 0])
 
     def should_terminate_episode(self, physics: Any) -> bool:
-        """Only diverged physics ends an episode before its time."""
-        del physics
-        return self._diverged
+        """Return whether the physics diverged; nothing else ends an episode before its time."""
+        return bool(self._outputs[DIVERGED][0, 0])

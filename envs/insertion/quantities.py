@@ -1,24 +1,30 @@
-"""Observation, reward and success as pure functions of measured arrays, batch first.
+"""What the task writes - observation, metrics, reward, success - as functions of measured arrays.
 
-The composer task and the batched environment call these same functions, so that there is one
-definition of the task.
+The composer task and the batched environment both call :func:`evaluate`, so that there is one
+definition of the task. A new quantity is one entry of ``OBSERVATIONS``, ``METRICS`` or
+``REWARD_TERMS``; what it reads of the simulation is a sensor of :mod:`.model.sensors`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
+from rrl import keys
+
 from .config import InsertionConfig
 from .physics.signals import Signals
+
+__all__ = ["METRICS", "OBSERVATIONS", "REWARD_TERMS", "Measurement", "evaluate", "measure"]
 
 
 class Measurement(NamedTuple):
     """What one control step shows of each of B environments; left block first. World frame, SI."""
 
     end_effector: np.ndarray
-    """[B, 3] centre of the tool from the arm's kinematics, m."""
+    """[B, 3] center of the tool from the arm's kinematics, m."""
     held_block: np.ndarray
     """[B, 3] middle of the held block, m."""
     block_position: np.ndarray
@@ -32,109 +38,146 @@ class Measurement(NamedTuple):
     wrench: np.ndarray
     """[B, 6] mean over the control step of the force [N] and torque [N m] that the surroundings
     exert on the tool; its weight is tared."""
-    contact_force: np.ndarray
-    """[B] largest sum of normal forces on the held block within the control step, N."""
+    signals: Signals
+    """Every signal in every substep, [B, substeps, *shape]; see :mod:`.model.sensors`."""
 
 
-def measure(trace: Signals, tare: np.ndarray) -> Measurement:
-    """Measurement at the end of a control step.
+Quantity = Callable[[Measurement, InsertionConfig], np.ndarray]
+
+
+class Observation(NamedTuple):
+    """One entry of the observation: its length, and the function that gives it, [B, size]."""
+
+    size: int
+    value: Quantity
+
+
+class RewardTerm(NamedTuple):
+    """One term of the reward, -weight * cost; a config's ``reward_weights`` replace the weight."""
+
+    weight: float
+    cost: Quantity
+
+
+def measure(signals: Signals, tare: np.ndarray) -> Measurement:
+    """Return the measurement at the end of a control step.
 
     Args:
-        trace: signals of every substep, [B, substeps, *shape].
-        tare: [6] wrist reading of the unloaded tool at rest, N and N m.
+        signals: Signals of every substep, [B, substeps, *shape].
+        tare: Wrist reading of the unloaded tool at rest, [6] [N] and [N m].
     """
-    upward = trace["block_z_axis"][:, -1]  # (B, 2, 3)
-    along = trace["block_y_axis"][:, -1]  # (B, 2, 3)
+    upward = signals["block_z_axis"][:, -1]  # (B, 2, 3)
+    along = signals["block_y_axis"][:, -1]  # (B, 2, 3)
     yaw = np.arctan2(-along[..., 0], along[..., 1])
     lean = upward[..., 0] * np.cos(yaw) + upward[..., 1] * np.sin(yaw)
     sideways = np.sqrt(upward[..., 0] ** 2 + upward[..., 1] ** 2)
-    force = trace["wrist_force"].mean(axis=1)  # (B, 3)
-    torque = trace["wrist_torque"].mean(axis=1)  # (B, 3)
+    force = signals["wrist_force"].mean(axis=1)  # (B, 3)
+    torque = signals["wrist_torque"].mean(axis=1)  # (B, 3)
     return Measurement(
-        end_effector=trace["tool_position"][:, -1].copy(),
-        held_block=trace["held_position"][:, -1].copy(),
-        block_position=trace["block_position"][:, -1].copy(),
+        end_effector=signals["tool_position"][:, -1],
+        held_block=signals["held_position"][:, -1],
+        block_position=signals["block_position"][:, -1],
         tilt=np.arctan2(lean, upward[..., 2]),
         yaw=yaw,
         inclination=np.arctan2(sideways, upward[..., 2]),
         wrench=tare - np.concatenate((force, torque), axis=-1),
-        contact_force=trace["contact_force"][..., 0].max(axis=1),
+        signals=signals,
     )
-
-
-def desired_block_positions(config: InsertionConfig) -> np.ndarray:
-    """X_g: where the left and right standing block belong, [2, 3] m."""
-    x, y = config.goal_xy
-    height = config.standing_half_size[2]
-    return np.array([(x - config.block_offset, y, height), (x + config.block_offset, y, height)])
-
-
-def observation(m: Measurement, config: InsertionConfig) -> dict[str, np.ndarray]:
-    """The observation of the paper's section IV, one array [B, n] a key.
-
-    ``blocks`` [13]: for each standing block position, tilt and yaw, then the held block's position.
-    """
-    batch = len(m.end_effector)
-    blocks = np.empty((batch, 13))
-    poses = blocks[:, :10].reshape(batch, 2, 5)
-    poses[..., :3] = m.block_position
-    poses[..., 3] = m.tilt
-    poses[..., 4] = m.yaw
-    blocks[:, 10:] = m.held_block
-    values = {"end_effector_position": m.end_effector}
-    if config.force_observation == "wrench":
-        values["wrench"] = m.wrench
-    else:
-        values["force_z"] = m.wrench[:, 2:3]
-    values["blocks"] = blocks
-    values["goal"] = np.broadcast_to(np.asarray(config.goal), (batch, 3))
-    return values
-
-
-def observation_sizes(config: InsertionConfig) -> dict[str, int]:
-    """Keys of the observation and their lengths."""
-    force = {"wrench": 6} if config.force_observation == "wrench" else {"force_z": 1}
-    return {"end_effector_position": 3, **force, "blocks": 13, "goal": 3}
-
-
-def reward_terms(m: Measurement, config: InsertionConfig) -> dict[str, np.ndarray]:
-    """Weighted terms [B] whose sum is the reward (equations 4 and 5 of the paper).
-
-    r = -|x_g - x_t| - lambda sum|theta| - mu |X_g - X_t| - beta sum|phi|; terms of
-    weight zero are left out.
-    """
-    point = m.held_block if config.reward_point == "held_block" else m.end_effector
-    terms = {"distance": -_norm(point - np.asarray(config.goal))}
-    if config.tilt_weight:
-        terms["tilt"] = -config.tilt_weight * np.abs(m.tilt).sum(axis=-1)
-    if config.displacement_weight:
-        offset = m.block_position - desired_block_positions(config)  # (B, 2, 3)
-        terms["displacement"] = -config.displacement_weight * _norm(offset.reshape(len(offset), 6))
-    if config.yaw_weight:
-        terms["yaw"] = -config.yaw_weight * np.abs(m.yaw).sum(axis=-1)
-    return terms
-
-
-def total(terms: dict[str, np.ndarray]) -> np.ndarray:
-    """The reward [B]: sum of its terms."""
-    return np.sum(list(terms.values()), axis=0)
-
-
-def reward_term_names(config: InsertionConfig) -> tuple[str, ...]:
-    """Names of the terms that :func:`reward_terms` gives."""
-    weights = {
-        "tilt": config.tilt_weight,
-        "displacement": config.displacement_weight,
-        "yaw": config.yaw_weight,
-    }
-    return ("distance", *(name for name, weight in weights.items() if weight))
-
-
-def success(m: Measurement, config: InsertionConfig) -> np.ndarray:
-    """[B] bool: the inserted block is at its goal and both standing blocks are upright."""
-    near = _norm(m.held_block - np.asarray(config.goal)) < config.position_tolerance
-    return near & (m.inclination.max(axis=-1) < config.tilt_tolerance)
 
 
 def _norm(vector: np.ndarray) -> np.ndarray:
     return np.sqrt((vector * vector).sum(axis=-1))
+
+
+def _blocks(m: Measurement, config: InsertionConfig) -> np.ndarray:
+    """Return position, tilt and yaw of each standing block, then the held block's position."""
+    poses = np.concatenate((m.block_position, m.tilt[..., None], m.yaw[..., None]), axis=-1)
+    return np.concatenate((poses.reshape(-1, 10), m.held_block), axis=-1)  # (B, 13)
+
+
+def _distance(m: Measurement, config: InsertionConfig) -> np.ndarray:
+    point = m.held_block if config.reward_point == "held_block" else m.end_effector
+    return _norm(point - np.asarray(config.goal))
+
+
+OBSERVATIONS = {
+    "end_effector_position": Observation(3, lambda m, config: m.end_effector),
+    "wrench": Observation(6, lambda m, config: m.wrench),
+    "force_z": Observation(1, lambda m, config: m.wrench[:, 2:3]),
+    "blocks": Observation(13, _blocks),
+    "goal": Observation(3, lambda m, config: np.tile(config.goal, (len(m.wrench), 1))),
+}
+"""The paper's section IV; of ``wrench`` and ``force_z`` the one that the config names."""
+
+METRICS: dict[str, Quantity] = {
+    "contact_force": lambda m, config: m.signals["contact_force"][..., 0].max(axis=1),
+    "tilt": lambda m, config: m.inclination.max(axis=-1),
+}
+"""What is reported beside reward and success, [B]; units and reductions stand in the YAML."""
+
+REWARD_TERMS = {
+    "distance": RewardTerm(1.0, _distance),
+    "tilt": RewardTerm(0.1, lambda m, config: np.abs(m.tilt).sum(axis=-1)),
+    "displacement": RewardTerm(
+        0.0, lambda m, config: _norm((m.block_position - config.block_goals).reshape(-1, 6))
+    ),
+    "yaw": RewardTerm(0.0, lambda m, config: np.abs(m.yaw).sum(axis=-1)),
+}
+"""r = -|x_g - x_t| - lambda sum|theta| - mu |X_g - X_t| - beta sum|phi| (the paper's equations 4
+and 5); costs [B] in m and rad."""
+
+
+def success(m: Measurement, config: InsertionConfig) -> np.ndarray:
+    """Return whether the inserted block is at its goal with both standing blocks upright, [B]."""
+    near = _norm(m.held_block - np.asarray(config.goal)) < config.position_tolerance
+    return near & (m.inclination.max(axis=-1) < config.tilt_tolerance)
+
+
+def observation_sizes(config: InsertionConfig) -> dict[str, int]:
+    """Return the observation's entries and their lengths."""
+    absent = {"wrench", "force_z"} - {config.force_observation}
+    return {name: entry.size for name, entry in OBSERVATIONS.items() if name not in absent}
+
+
+def reward_weights(config: InsertionConfig) -> dict[str, float]:
+    """Return the weights by the term's name; terms of weight zero are left out.
+
+    Raises:
+        ValueError: If the config names a term that does not exist.
+    """
+    unknown = sorted(set(config.reward_weights).difference(REWARD_TERMS))
+    if unknown:
+        raise ValueError(f"reward_weights: expected names of {list(REWARD_TERMS)}, got {unknown}")
+    weights = {name: term.weight for name, term in REWARD_TERMS.items()} | config.reward_weights
+    return {name: weight for name, weight in weights.items() if weight}
+
+
+def output_names(config: InsertionConfig) -> list[str]:
+    """Return the names of what :func:`evaluate` gives, but for the reward."""
+    metrics = [f"{keys.METRICS}/{name}" for name in METRICS]
+    terms = [f"{keys.REWARD_TERMS}/{name}" for name in reward_weights(config)]
+    return [*observation_sizes(config), keys.SUCCESS, *metrics, *terms]
+
+
+def evaluate(signals: Signals, tare: np.ndarray, config: InsertionConfig) -> dict[str, np.ndarray]:
+    """Return all that the task writes: arrays [B, n] by name, nested names as ``group/name``.
+
+    Args:
+        signals: Signals of every substep, [B, substeps, *shape].
+        tare: Wrist reading of the unloaded tool at rest, [6] [N] and [N m].
+        config: The task.
+    """
+    m = measure(signals, tare)
+    terms = [
+        -weight * REWARD_TERMS[name].cost(m, config)
+        for name, weight in reward_weights(config).items()
+    ]
+    values = [
+        *(OBSERVATIONS[name].value(m, config) for name in observation_sizes(config)),
+        success(m, config),
+        *(metric(m, config) for metric in METRICS.values()),
+        *terms,
+    ]
+    out = dict(zip(output_names(config), values, strict=True))
+    out[keys.REWARD] = np.sum(terms, axis=0)
+    return {name: value if value.ndim == 2 else value[:, None] for name, value in out.items()}

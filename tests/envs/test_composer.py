@@ -9,10 +9,14 @@ from torchrl.envs.utils import check_env_specs
 from rrl.envs import NAMES, ComposerEnv, InsertionEnv, load
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("name", NAMES)
-def test_insertion(name: str) -> None:
-    env = ComposerEnv(load(name), seed=0)
+def test_insertion(name: str, dtype: torch.dtype) -> None:
+    env = ComposerEnv(load(name), seed=0, dtype=dtype)
     check_env_specs(env)
+    assert env.batch_size == torch.Size([])
+    types = {spec.dtype for spec in env.specs.values(True, True)}
+    assert types == {dtype, torch.bool}
     rollout = env.rollout(100)
     assert rollout.shape == (50,)
     assert rollout["next", "truncated"][-1].all()
@@ -28,6 +32,15 @@ def test_keys_are_those_of_the_batched_environment(name: str) -> None:
     for key in keys:
         assert env.observation_spec[key].dtype == batch.observation_spec[key].dtype
         assert env.observation_spec[key].shape == batch.observation_spec[key].shape[1:]
+
+
+def test_double_precision_keeps_what_single_rounds() -> None:
+    single, double = (
+        ComposerEnv(load("insertion-sim"), seed=2, dtype=dtype).reset()
+        for dtype in (torch.float32, torch.float64)
+    )
+    assert (single["blocks"] != double["blocks"]).any()
+    assert torch.equal(single["blocks"], double["blocks"].float())
 
 
 def test_any_composer_environment() -> None:
@@ -58,5 +71,5 @@ def test_several_in_one() -> None:
 
 
 def test_needs_a_composer_environment() -> None:
-    with pytest.raises(TypeError, match=r"needs a dm_control\.composer\.Environment"):
+    with pytest.raises(TypeError, match=r"env: expected a dm_control\.composer\.Environment"):
         ComposerEnv(suite.load("cartpole", "swingup"))

@@ -1,8 +1,10 @@
-"""What the arm looks like: shapes that touch nothing and weigh nothing, drawn from the joint origins."""
+"""What the arm looks like: shapes that touch nothing and weigh nothing."""
 
 from __future__ import annotations
 
 from typing import Any
+
+__all__ = ["add_materials", "draw", "dress_arm"]
 
 MATERIALS = {
     "red": {"rgba": (0.66, 0.04, 0.05, 1), "specular": 0.6, "shininess": 0.7},
@@ -13,13 +15,13 @@ MATERIALS = {
 
 
 def add_materials(root: Any) -> None:
-    """Adds the arm's materials to an MJCF root."""
+    """Add the arm's materials to an MJCF root."""
     for name, look in MATERIALS.items():
         root.asset.add("material", name=name, **look)
 
 
 def draw(body: Any, kind: str, material: str, **shape: Any) -> None:
-    """Adds one decorative geom to ``body``."""
+    """Add one decorative geom to ``body``."""
     body.add(
         "geom", type=kind, material=material, contype=0, conaffinity=0, mass=0, group=1, **shape
     )
@@ -30,7 +32,7 @@ def _segment(body: Any, kind: str, material: str, start: Any, end: Any, radius: 
 
 
 def dress_arm(base: Any, links: list[Any]) -> None:
-    """Draws base, joint housings, upper arm, forearm and display on the seven links."""
+    """Draw base, joint housings, upper arm, forearm and display on the seven links."""
     l0, l1, l2, l3, l4, l5, l6 = links
     _segment(base, "cylinder", "charcoal", (0, 0, -0.02), (0, 0, 0.03), 0.13)
     _segment(base, "cylinder", "steel", (0, 0, 0.03), (0, 0, 0.08), 0.10)

@@ -6,6 +6,8 @@ from typing import Any
 
 from dm_control import composer
 
+__all__ = ["CAMERAS", "PlatformArena"]
+
 TABLE_HEIGHT = 0.75
 """Of the platform's surface, z = 0, above the floor, m."""
 CAMERAS = ("overview", "closeup", "front")
@@ -22,30 +24,29 @@ class PlatformArena(composer.Arena):
         base_height: float = 0.0,
         name: str = "insertion",
     ) -> None:
-        """Builds the arena.
+        """Build the arena.
 
         Args:
-            goal_xy: middle of the platform, m.
-            friction: sliding friction of the platform.
-            timestep: of the physics, s.
-            base_height: of the robot's mounting plane, m; below it stands the pedestal.
-            name: of the MJCF model.
+            goal_xy: Middle of the platform [m].
+            friction: Sliding friction of the platform.
+            timestep: Physics timestep [s].
+            base_height: Height of the robot's mounting plane [m]; below it stands the pedestal.
+            name: Name of the MJCF model.
         """
         super()._build(name)
-        self._set_solver(timestep)
+        self._mjcf_root.option.set_attributes(
+            timestep=timestep, integrator="implicitfast", cone="elliptic",
+            iterations=10, ls_iterations=20, noslip_iterations=0,
+        )  # fmt: skip
+        self._mjcf_root.option.flag.multiccd = "enable"
         self._add_look()
-        self._add_furniture(goal_xy, friction, base_height)
-        self._add_cameras(goal_xy)
-
-    def _set_solver(self, timestep: float) -> None:
-        option = self._mjcf_root.option
-        option.timestep = timestep
-        option.integrator = "implicitfast"
-        option.cone = "elliptic"
-        option.iterations = 10
-        option.ls_iterations = 20
-        option.noslip_iterations = 0
-        option.flag.multiccd = "enable"
+        # What the blocks touch is an unseen plane: box on plane is exact and cheap.
+        self._mjcf_root.worldbody.add(
+            "geom", name="surface", type="plane", size=(1, 1, 0.1), group=4,
+            friction=(friction, 0.005, 0.0001),
+        )  # fmt: skip
+        self._add_furniture(*goal_xy, base_height)
+        self._add_cameras(*goal_xy)
 
     def _add_look(self) -> None:
         root = self._mjcf_root
@@ -78,52 +79,33 @@ class PlatformArena(composer.Arena):
             diffuse=(0.18, 0.2, 0.24), specular=(0.1, 0.1, 0.1), castshadow=False,
         )  # fmt: skip
 
-    def _add_furniture(
-        self, goal_xy: tuple[float, float], friction: float, base_height: float
-    ) -> None:
-        world = self._mjcf_root.worldbody
-        x, y = goal_xy
-
+    def _add_furniture(self, x: float, y: float, base_height: float) -> None:
         def decor(kind: str, material: str, **shape: Any) -> None:
-            world.add("geom", type=kind, material=material, contype=0, conaffinity=0, **shape)
+            self._mjcf_root.worldbody.add(
+                "geom", type=kind, material=material, contype=0, conaffinity=0, **shape
+            )
 
-        # What the blocks touch is an unseen plane: box on plane is exact and cheap.
-        self._surface = world.add(
-            "geom", name="surface", type="plane", size=(1, 1, 0.1), group=4,
-            friction=(friction, 0.005, 0.0001),
-        )  # fmt: skip
         decor("box", "platform", pos=(x, y, -0.01), size=(0.16, 0.12, 0.01))
         decor("box", "table", pos=(x + 0.05, y, -0.04), size=(0.33, 0.45, 0.02))
+        leg = TABLE_HEIGHT / 2 - 0.03
         for side_x in (-1, 1):
             for side_y in (-1, 1):
-                decor(
-                    "box", "pedestal",
-                    pos=(x + 0.05 + side_x * 0.29, y + side_y * 0.41, -TABLE_HEIGHT / 2 - 0.03),
-                    size=(0.02, 0.02, TABLE_HEIGHT / 2 - 0.03),
-                )  # fmt: skip
-        decor(
-            "cylinder",
-            "pedestal",
-            fromto=(0, 0, -TABLE_HEIGHT, 0, 0, base_height - 0.02),
-            size=(0.11,),
-        )
+                foot = (x + 0.05 + side_x * 0.29, y + side_y * 0.41, -TABLE_HEIGHT / 2 - 0.03)
+                decor("box", "pedestal", pos=foot, size=(0.02, 0.02, leg))
+        column = (0, 0, -TABLE_HEIGHT, 0, 0, base_height - 0.02)
+        decor("cylinder", "pedestal", fromto=column, size=(0.11,))
         decor("box", "pedestal", pos=(0, 0, -TABLE_HEIGHT + 0.03), size=(0.26, 0.26, 0.03))
         decor("plane", "floor", pos=(0, 0, -TABLE_HEIGHT), size=(6, 6, 0.1))
 
-    def _add_cameras(self, goal_xy: tuple[float, float]) -> None:
-        x, y = goal_xy
-        target = self._mjcf_root.worldbody.add("body", name="camera_target", pos=(x, y, 0.09))
-        middle = self._mjcf_root.worldbody.add("body", name="arm_target", pos=(x - 0.24, y, 0.27))
-        for name, position, aim, fovy in (
-            ("overview", (x + 0.50, y - 1.60, 0.62), middle, 40),
-            ("closeup", (x + 0.16, y - 0.50, 0.26), target, 38),
-            ("front", (x + 0.75, y - 0.12, 0.30), target, 38),
+    def _add_cameras(self, x: float, y: float) -> None:
+        world = self._mjcf_root.worldbody
+        target = world.add("body", name="camera_target", pos=(x, y, 0.09))
+        middle = world.add("body", name="arm_target", pos=(x - 0.24, y, 0.27))
+        for name, position, aim, fovy in zip(
+            CAMERAS,
+            ((x + 0.50, y - 1.60, 0.62), (x + 0.16, y - 0.50, 0.26), (x + 0.75, y - 0.12, 0.30)),
+            (middle, target, target),
+            (40, 38, 38),
+            strict=True,
         ):
-            self._mjcf_root.worldbody.add(
-                "camera", name=name, pos=position, mode="targetbody", target=aim, fovy=fovy
-            )
-
-    @property
-    def surface(self) -> Any:
-        """The plane on which the blocks stand."""
-        return self._surface
+            world.add("camera", name=name, pos=position, mode="targetbody", target=aim, fovy=fovy)

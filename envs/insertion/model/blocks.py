@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 from dm_control import composer, mjcf
 
+__all__ = ["HeldBlock", "StandingBlock", "chamfered_vertices"]
+
 Vector3 = tuple[float, float, float]
 
 
 def chamfered_vertices(half_size: Vector3, chamfer: tuple[float, float], side: int) -> np.ndarray:
-    """Corners of a box whose top edge on ``side`` (+1 or -1 along x) is cut, [10, 3] or [8, 3], m."""
+    """Return the corners [10 or 8, 3] of a box with the top edge cut on ``side`` of x, +1 or -1."""
     size_x, size_y, size_z = half_size
     cut_x, cut_z = chamfer
     outline = [(-side * size_x, -size_z), (side * size_x, -size_z), (-side * size_x, size_z)]
@@ -22,8 +24,27 @@ def chamfered_vertices(half_size: Vector3, chamfer: tuple[float, float], side: i
     return np.array([(x, y, z) for x, z in outline for y in (-size_y, size_y)])
 
 
-class StandingBlock(composer.Entity):
-    """A block that stands on the platform and whose inner top edge is cut, so that it guides."""
+class _Block(composer.Entity):
+    def _start(self, name: str, rgba: tuple[float, ...]) -> Any:
+        """Begin the block's MJCF; return its material."""
+        self._root = mjcf.RootElement(model=name)
+        self._root.compiler.angle = "radian"
+        return self._root.asset.add(
+            "material", name="surface", rgba=rgba, specular=0.3, shininess=0.3
+        )
+
+    @property
+    def mjcf_model(self) -> Any:
+        """The root of the block's MJCF."""
+        return self._root
+
+
+class StandingBlock(_Block):
+    """A block that stands on the platform and whose inner top edge is cut, so that it guides.
+
+    Attributes:
+        geom: The prism.
+    """
 
     def _build(
         self,
@@ -35,42 +56,35 @@ class StandingBlock(composer.Entity):
         friction: float,
         rgba: tuple[float, ...],
     ) -> None:
-        """Builds the block.
+        """Build the block.
 
         Args:
-            name: of the MJCF model.
-            half_size: of the box before the cut, m.
-            chamfer: cut along x and z, m.
+            name: Name of the MJCF model.
+            half_size: Half size of the box before the cut [m].
+            chamfer: Cut along x and z [m].
             inner_side: +1 where the gap is at larger x than the block, else -1.
-            mass: kg.
-            friction: sliding friction.
-            rgba: colour.
+            mass: Mass [kg].
+            friction: Coefficient of sliding friction.
+            rgba: Color.
         """
-        self._root = mjcf.RootElement(model=name)
-        self._root.compiler.angle = "radian"
+        material = self._start(name, rgba)
         vertices = chamfered_vertices(half_size, chamfer, inner_side)
         mesh = self._root.asset.add("mesh", name="prism", vertex=vertices.ravel(), inertia="convex")
-        material = self._root.asset.add(
-            "material", name="surface", rgba=rgba, specular=0.3, shininess=0.3
-        )
-        self._geom = self._root.worldbody.add(
+        self.geom = self._root.worldbody.add(
             "geom", name="prism", type="mesh", mesh=mesh, mass=mass, material=material,
             friction=(friction, 0.005, 0.0001),
         )  # fmt: skip
 
-    @property
-    def mjcf_model(self) -> Any:
-        """Root of the block's MJCF."""
-        return self._root
 
-    @property
-    def geom(self) -> Any:
-        """The prism."""
-        return self._geom
+class HeldBlock(_Block):
+    """The block in the hand. Its frame is its top face's center, z pointing down into the block.
 
-
-class HeldBlock(composer.Entity):
-    """The block in the hand. Its frame is its top face's centre, z pointing down into the block."""
+    Attributes:
+        body: The block, frame at its center.
+        geom: The box.
+        center_site: The tool's center: the middle of the block.
+        skin_site: A volume around the block for the touch sensor.
+    """
 
     def _build(
         self,
@@ -80,61 +94,21 @@ class HeldBlock(composer.Entity):
         rgba: tuple[float, ...],
         name: str = "held_block",
     ) -> None:
-        """Builds the block.
-
-        Args:
-            half_size: m.
-            mass: kg.
-            friction: sliding friction.
-            rgba: colour.
-            name: of the MJCF model.
-        """
-        self._root = mjcf.RootElement(model=name)
-        self._root.compiler.angle = "radian"
-        material = self._root.asset.add(
-            "material", name="surface", rgba=rgba, specular=0.3, shininess=0.3
-        )
-        self._body = self._root.worldbody.add(
+        """Build the block; arguments as in :class:`StandingBlock`."""
+        material = self._start(name, rgba)
+        self.body = self._root.worldbody.add(
             "body", name="center", pos=(0, 0, half_size[2]), gravcomp=1
         )
-        self._geom = self._body.add(
+        self.geom = self.body.add(
             "geom", name="box", type="box", size=half_size, mass=mass, material=material,
             friction=(friction, 0.005, 0.0001),
         )  # fmt: skip
         # Turned by pi about z: its x axis is the world's in the arm's posture TOOL_DOWN.
-        self._center_site = self._body.add(
+        self.center_site = self.body.add(
             "site", name="center", quat=(0, 0, 0, 1), size=(0.002,), rgba=(0, 0, 0, 0)
         )
         # A touch sensor sums the normal forces of the contacts inside its site's volume.
-        self._skin_site = self._body.add(
-            "site",
-            name="skin",
-            type="box",
-            size=tuple(1.1 * np.array(half_size)),
-            rgba=(0, 0, 0, 0),
+        size = tuple(1.1 * np.array(half_size))
+        self.skin_site = self.body.add(
+            "site", name="skin", type="box", size=size, rgba=(0, 0, 0, 0)
         )
-
-    @property
-    def mjcf_model(self) -> Any:
-        """Root of the block's MJCF."""
-        return self._root
-
-    @property
-    def body(self) -> Any:
-        """The block, frame at its centre."""
-        return self._body
-
-    @property
-    def geom(self) -> Any:
-        """The box."""
-        return self._geom
-
-    @property
-    def center_site(self) -> Any:
-        """The tool's centre: the middle of the block."""
-        return self._center_site
-
-    @property
-    def skin_site(self) -> Any:
-        """A volume around the block for the touch sensor."""
-        return self._skin_site

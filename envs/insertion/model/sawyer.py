@@ -1,4 +1,4 @@
-"""The Sawyer arm as a composer entity, with the manufacturer's published kinematics and inertias."""
+"""The Sawyer arm as a composer entity, with the manufacturer's kinematics and inertias."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 from dm_control import composer, mjcf
 
 from .appearance import add_materials, dress_arm
+
+__all__ = ["LINKS", "TOOL_DOWN", "Link", "Sawyer"]
 
 Vector = tuple[float, ...]
 
@@ -79,6 +81,12 @@ class Sawyer(composer.Entity):
     """Seven joints, no actuators (the task adds its controller's) and no collision geometry.
 
     The arm compensates gravity; the compensation counts against the joints' torque limits.
+
+    Attributes:
+        joints: The seven hinges, shoulder to wrist.
+        links: The bodies that the joints carry; a body's origin is its joint's anchor.
+        wrist_site: Site of the force-torque sensor, between the last link and the gripper.
+        hand_site: Where a gripper is attached.
     """
 
     def _build(self, name: str = "sawyer") -> None:
@@ -87,70 +95,39 @@ class Sawyer(composer.Entity):
         add_materials(self._root)
         base = self._root.worldbody.add("body", name="base")
         base.add("inertial", pos=(0, 0, 0), mass=BASE_MASS, diaginertia=(0.02, 0.02, 0.02))
-        self._joints: list[Any] = []
-        self._links: list[Any] = []
-        parent = base
+        self.joints: list[Any] = []
+        self.links: list[Any] = []
+        body = base
         for index, link in enumerate(LINKS):
-            parent = self._add_link(parent, index, link)
-        self._hand = parent.add(
-            "body", name="hand", pos=HAND_POSITION, quat=HAND_QUATERNION, gravcomp=1
-        )
-        self._hand.add("inertial", pos=(0, 0, 0), mass=1e-6, diaginertia=(1e-8, 1e-8, 1e-8))
+            body = self._add_link(body, index, link)
+        hand = body.add("body", name="hand", pos=HAND_POSITION, quat=HAND_QUATERNION, gravcomp=1)
+        hand.add("inertial", pos=(0, 0, 0), mass=1e-6, diaginertia=(1e-8, 1e-8, 1e-8))
         # Turned by pi about y, so that it is aligned with the world in the posture TOOL_DOWN.
-        self._wrist_site = self._hand.add(
+        self.wrist_site = hand.add(
             "site", name="wrist", quat=(0, 0, 1, 0), size=(0.002,), rgba=(0, 0, 0, 0)
         )
-        self._hand_site = self._hand.add("site", name="mount", size=(0.002,), rgba=(0, 0, 0, 0))
-        dress_arm(base, self._links)
+        self.hand_site = hand.add("site", name="mount", size=(0.002,), rgba=(0, 0, 0, 0))
+        dress_arm(base, self.links)
 
     def _add_link(self, parent: Any, index: int, link: Link) -> Any:
         body = parent.add(
             "body", name=f"right_l{index}", pos=link.position, quat=link.quaternion, gravcomp=1
         )
         body.add(
-            "inertial",
-            pos=link.center_of_mass,
-            mass=link.mass,
-            quat=link.inertia_quaternion,
-            diaginertia=link.inertia,
-        )
+            "inertial", pos=link.center_of_mass, mass=link.mass,
+            quat=link.inertia_quaternion, diaginertia=link.inertia,
+        )  # fmt: skip
         joint = body.add(
-            "joint",
-            name=f"right_j{index}",
-            type="hinge",
-            axis=(0, 0, 1),
-            range=link.range,
-            limited=True,
-            damping=JOINT_DAMPING[index],
-            armature=JOINT_ARMATURE[index],
-            actuatorfrcrange=(-link.max_torque, link.max_torque),
-            actuatorgravcomp=True,
-        )
-        self._joints.append(joint)
-        self._links.append(body)
+            "joint", name=f"right_j{index}", type="hinge", axis=(0, 0, 1),
+            range=link.range, limited=True,
+            damping=JOINT_DAMPING[index], armature=JOINT_ARMATURE[index],
+            actuatorfrcrange=(-link.max_torque, link.max_torque), actuatorgravcomp=True,
+        )  # fmt: skip
+        self.joints.append(joint)
+        self.links.append(body)
         return body
 
     @property
     def mjcf_model(self) -> Any:
-        """Root of the arm's MJCF."""
+        """The root of the arm's MJCF."""
         return self._root
-
-    @property
-    def joints(self) -> list[Any]:
-        """The seven hinges, shoulder to wrist."""
-        return self._joints
-
-    @property
-    def links(self) -> list[Any]:
-        """The seven bodies that the joints carry; a body's frame origin is its joint's anchor."""
-        return self._links
-
-    @property
-    def wrist_site(self) -> Any:
-        """Site of the force-torque sensor, between the last link and the gripper."""
-        return self._wrist_site
-
-    @property
-    def hand_site(self) -> Any:
-        """Where a gripper is attached."""
-        return self._hand_site

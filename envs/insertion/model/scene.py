@@ -1,42 +1,30 @@
-"""Puts robot, blocks and platform together into one MJCF model."""
+"""Robot, blocks and platform together in one MJCF model."""
 
 from __future__ import annotations
 
 import copy
-import dataclasses
 from typing import Any
 
 import mujoco
 from dm_control import mjcf
 
 from ..config import InsertionConfig
-from ..physics.control import add_cartesian_actuators, add_joint_actuators
-from ..physics.signals import add_sensors
-from ..quantities import desired_block_positions
+from .actuators import add_cartesian_actuators, add_joint_actuators
 from .arena import PlatformArena
 from .blocks import HeldBlock, StandingBlock
 from .gripper import ParallelGripper
 from .sawyer import Sawyer
+from .sensors import add_sensors
 
-LEFT_COLOR = (0.13, 0.37, 0.70, 1.0)
-RIGHT_COLOR = (0.10, 0.52, 0.50, 1.0)
+__all__ = ["build_scene", "compile_model"]
+
+COLORS = ((0.13, 0.37, 0.70, 1.0), (0.10, 0.52, 0.50, 1.0))
+"""Of the left and right standing block."""
 HELD_COLOR = (0.95, 0.66, 0.13, 1.0)
 
 
-@dataclasses.dataclass(frozen=True)
-class Scene:
-    """The entities of the task and the MJCF bodies of the standing blocks, left first."""
-
-    arena: PlatformArena
-    arm: Sawyer
-    gripper: ParallelGripper
-    held: HeldBlock
-    blocks: tuple[StandingBlock, StandingBlock]
-    frames: tuple[Any, Any]
-
-
-def build_scene(config: InsertionConfig) -> Scene:
-    """Assembles the task's entities, actuators and sensors."""
+def build_scene(config: InsertionConfig) -> PlatformArena:
+    """Return the arena with the task's entities, actuators and sensors."""
     arena = PlatformArena(
         goal_xy=config.goal_xy,
         friction=config.platform_friction,
@@ -49,31 +37,27 @@ def build_scene(config: InsertionConfig) -> Scene:
     arm.attach(gripper, arm.hand_site)
     held = HeldBlock(config.held_half_size, config.held_mass, config.held_friction, HELD_COLOR)
     gripper.attach(held, gripper.grip_site)
-    blocks, frames = _stand_blocks(arena, config)
+    frames = _stand_blocks(arena, config)
     if config.controller == "cartesian":
         add_cartesian_actuators(arena.mjcf_model, config, held.center_site)
     else:
         add_joint_actuators(arena.mjcf_model, config, arm.joints)
-    add_sensors(arena.mjcf_model, arm, held.center_site, held, list(frames))
-    return Scene(arena, arm, gripper, held, blocks, frames)
+    add_sensors(arena.mjcf_model, arm, held, frames)
+    return arena
 
 
 def compile_model(config: InsertionConfig) -> mujoco.MjModel:
-    """The task's compiled model, the same that the composer environment gets."""
-    physics = mjcf.Physics.from_mjcf_model(build_scene(config).arena.mjcf_model)
+    """Return the task's compiled model, the same that the composer environment gets."""
+    physics = mjcf.Physics.from_mjcf_model(build_scene(config).mjcf_model)
     model = copy.copy(physics.model.ptr)
     physics.free()
     return model
 
 
-def _stand_blocks(
-    arena: PlatformArena, config: InsertionConfig
-) -> tuple[tuple[StandingBlock, StandingBlock], tuple[Any, Any]]:
-    blocks, frames = [], []
-    positions = desired_block_positions(config)
-    for name, inner_side, color, position in (
-        ("left_block", 1, LEFT_COLOR, positions[0]),
-        ("right_block", -1, RIGHT_COLOR, positions[1]),
+def _stand_blocks(arena: PlatformArena, config: InsertionConfig) -> list[Any]:
+    frames = []
+    for name, inner_side, color, position in zip(
+        ("left_block", "right_block"), (1, -1), COLORS, config.block_goals, strict=True
     ):
         block = StandingBlock(
             name, config.standing_half_size, config.chamfer, inner_side,
@@ -82,13 +66,12 @@ def _stand_blocks(
         frame = arena.attach(block)
         frame.pos = position
         _add_joints(frame, config.blocks)
-        blocks.append(block)
         frames.append(frame)
-    return (blocks[0], blocks[1]), (frames[0], frames[1])
+    return frames
 
 
 def _add_joints(frame: Any, kind: str) -> None:
-    """The degrees of freedom of a standing block.
+    """Add the degrees of freedom of a standing block.
 
     A rigid block cannot topple with its centre at a fixed height, so the planar block of the paper
     (slide x, slide y, topple about y) also slides along z, where the platform holds it up.

@@ -1,89 +1,37 @@
-"""From a normalised Cartesian action to actuator set points, once a control step, batch first.
+"""From a normalized Cartesian action to actuator set points, once a control step, batch first.
 
-Both controllers move the set point relative to the *measured* position of the end effector, x_d =
-x + action_scale * action, so that the whole state of the control loop is in the observation: a set
-point that integrates would be a hidden one, and would wind up while the tool presses on something.
+Both controllers move the set point relative to the *measured* position of the end effector,
+x_d = x + action_scale * action, so that the whole state of the control loop is in the observation:
+a set point that integrates would be hidden, and would wind up while the tool presses on something.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from ..config import InsertionConfig
-from ..model.sawyer import LINKS
 from .signals import Signals
 
-ROTATION_LIMIT = 20.0
-"""Of the Cartesian controller about an axis, N m."""
+__all__ = ["check_action", "jacobian", "orientation_error", "set_points"]
+
 TOOL_DOWN_AXES = np.array([(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)])
 """Rows: x, y and z axis of a tool that points straight down."""
 IK_DAMPING = 1e-7 * np.eye(6)
-"""d I, in units of Cartesian compliance (about 1e-3 m/N in translation), against singular postures."""
+"""d I, in units of Cartesian compliance (about 1e-3 m/N in translation), against singularities."""
 MAX_ROTATION_ERROR = 0.2
 """Largest orientation error that the inverse kinematics looks at, rad."""
-
-
-def add_cartesian_actuators(root: Any, config: InsertionConfig, tool_site: Any) -> None:
-    """Adds a Cartesian position controller that runs inside MuJoCo at every substep.
-
-    Six affine actuators between the tool's site and a reference site: translation against one that
-    is aligned with the world, rotation against one that points down, because the rotation error is an
-    exponential map and would be singular near pi. The control is the set point relative to the
-    goal [m], then the orientation relative to "down" [rad].
-    """
-    goal = config.goal
-    references = [
-        root.worldbody.add("site", name=name, pos=goal, quat=quat, size=(0.002,), rgba=(0, 0, 0, 0))
-        for name, quat in (("goal", (1, 0, 0, 0)), ("goal_down", (0, 1, 0, 0)))
-    ]
-    limits = (config.force_limit, ROTATION_LIMIT)
-    for index, axis in enumerate(("x", "y", "z", "rx", "ry", "rz")):
-        rotation = index // 3
-        stiffness = config.cartesian_stiffness[rotation]
-        damping = config.cartesian_damping[rotation]
-        root.actuator.add(
-            "general",
-            name=axis,
-            site=tool_site,
-            refsite=references[rotation],
-            gear=np.eye(6)[index],
-            gainprm=(stiffness,),
-            biastype="affine",
-            biasprm=(0, -stiffness, -damping),
-            forcelimited=True,
-            forcerange=(-limits[rotation], limits[rotation]),
-        )
-
-
-def add_joint_actuators(root: Any, config: InsertionConfig, joints: list[Any]) -> None:
-    """Adds a compliant position servo on each joint, within the published torque limits."""
-    for joint, link, stiffness, damping in zip(
-        joints, LINKS, config.joint_stiffness, config.joint_damping, strict=True
-    ):
-        root.actuator.add(
-            "general",
-            name=joint.name,
-            joint=joint,
-            gainprm=(stiffness,),
-            biastype="affine",
-            biasprm=(0, -stiffness, -damping),
-            forcelimited=True,
-            forcerange=(-link.max_torque, link.max_torque),
-        )
 
 
 def set_points(
     signals: Signals, action: np.ndarray, config: InsertionConfig, home: np.ndarray
 ) -> np.ndarray:
-    """Actuator controls [B, nu] for an action [B, 3] in [-1, 1].
+    """Return actuator controls [B, nu] for an action in [-1, 1].
 
     Args:
-        signals: the arm as measured before the step, [B, *shape].
-        action: normalised displacement (x, y, z).
-        config: the task.
-        home: [7] posture towards which the redundant joint is pulled, rad.
+        signals: The arm as measured before the step, [B, *shape].
+        action: Normalized displacement (x, y, z), [B, 3].
+        config: The task.
+        home: Posture towards which the redundant joint is pulled, [7] [rad].
     """
     displacement = config.action_scale * action
     if config.controller == "cartesian":
@@ -94,7 +42,7 @@ def set_points(
 
 
 def jacobian(signals: Signals) -> np.ndarray:
-    """Geometric Jacobian of the tool [B, 6, 7]: rows translation, rotation; columns joints."""
+    """Return the tool's geometric Jacobian [B, 6, 7]: translation, then rotation, by joint."""
     axes = signals["joint_axis"]  # (B, 7, 3)
     arms = signals["tool_position"][:, None] - signals["joint_origin"]  # (B, 7, 3)
     result = np.empty((len(axes), 6, axes.shape[1]))
@@ -104,19 +52,19 @@ def jacobian(signals: Signals) -> np.ndarray:
 
 
 def orientation_error(signals: Signals) -> np.ndarray:
-    """Rotation vector [B, 3] that turns the tool towards pointing down, rad for small errors."""
+    """Return the rotation vector [B, 3] that turns the tool down, rad for small errors."""
     return 0.5 * _cross(signals["tool_axes"], TOOL_DOWN_AXES).sum(axis=1)
 
 
 def joint_displacement(
     signals: Signals, displacement: np.ndarray, config: InsertionConfig, home: np.ndarray
 ) -> np.ndarray:
-    """Differential inverse kinematics: joint steps [B, 7] rad that move the tool by ``displacement``.
+    """Return joint steps [B, 7] rad that move the tool by ``displacement`` [B, 3] m.
 
-    Among the joint steps with J dq = e, where e holds the displacement [m] and a share of the
-    correction of the tool's orientation [rad], it takes the one nearest to a step dq_0 towards the
-    home posture, measured by the energy that the joint springs K store:
-    dq = dq_0 + K^-1 J' (J K^-1 J' + d I)^-1 (e - J dq_0).
+    Differential inverse kinematics: among the joint steps with J dq = e, where e holds the
+    displacement [m] and a share of the correction of the tool's orientation [rad], it takes the one
+    nearest to a step dq_0 towards the home posture, measured by the energy that the joint springs K
+    store: dq = dq_0 + K^-1 J' (J K^-1 J' + d I)^-1 (e - J dq_0).
     """
     jac = jacobian(signals)  # (B, 6, 7)
     error = np.empty((len(jac), 6))
@@ -132,27 +80,27 @@ def joint_displacement(
 
 
 def check_action(action: np.ndarray, num_envs: int) -> np.ndarray:
-    """``action`` [num_envs, 3] clipped to [-1, 1].
+    """Return ``action`` [num_envs, 3] clipped to [-1, 1].
 
     Raises:
-        ValueError: another shape, or a number that is not finite (the message names the slots).
+        ValueError: If it has another shape, or is not finite (the message names the slots).
     """
     if action.shape != (num_envs, 3):
         raise ValueError(
-            f"action must have shape {(num_envs, 3)} (environments, x y z), got {action.shape}"
+            f"action: expected shape {(num_envs, 3)} (environments, x y z), got {action.shape}"
         )
     finite = np.isfinite(action).all(axis=-1)
     if not finite.all():
         slots = np.flatnonzero(~finite).tolist()
         raise ValueError(
-            f"action is not finite in slot(s) {slots}: {action[~finite].tolist()}; "
+            f"action: expected finite numbers, got {action[~finite].tolist()} in slot(s) {slots}; "
             "check the policy's or controller's output for NaN"
         )
     return np.clip(action, -1.0, 1.0)
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross product over the last axis; np.cross costs several times as much on small arrays."""
+    """Return the cross product over the last axis; np.cross is much slower on small arrays."""
     return a[..., _NEXT] * b[..., _AFTER] - a[..., _AFTER] * b[..., _NEXT]
 
 

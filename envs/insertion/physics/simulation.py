@@ -9,7 +9,10 @@ import numpy as np
 from mujoco import rollout
 
 from ..config import InsertionConfig
+from ..model.scene import compile_model
 from .start import Episode, StartState
+
+__all__ = ["STATE", "BatchSimulation", "has_diverged"]
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS.value
 CONTROL = mujoco.mjtState.mjSTATE_CTRL.value
@@ -18,10 +21,10 @@ CONTROL = mujoco.mjtState.mjSTATE_CTRL.value
 def has_diverged(
     state: np.ndarray, start_time: np.ndarray, model: mujoco.MjModel, config: InsertionConfig
 ) -> np.ndarray:
-    """Which full physics states [B, nstate] are not the end of a regular control step, [B] bool.
+    """Return which full physics states [B, nstate] do not end a regular control step, [B] bool.
 
     They are not finite or impossibly fast, or MuJoCo found them bad on the way: it then resets the
-    simulation (and ``rollout`` stops), which shows in the time elapsed since ``start_time`` [B].
+    simulation (and ``rollout`` stops), which shows in the time since ``start_time`` [B].
     """
     velocity = state[:, 1 + model.nq : 1 + model.nq + model.nv]
     slow = np.abs(velocity).max(axis=1) <= config.velocity_limit  # False for NaN
@@ -33,30 +36,29 @@ def has_diverged(
 class BatchSimulation:
     """B independent copies of one model, advanced by ``mujoco.rollout``.
 
-    Every control step starts from the full physics state without warm start, so that a step depends on
+    Every control step starts from the full physics state without warm start, so that it depends on
     nothing but state and control: slots, threads and restored states cannot influence each other.
 
     Args:
-        model: compiled task.
-        config: the task's settings.
+        config: The task's settings.
         num_envs: B.
-        num_threads: 1 runs in the calling thread; more make a pool that lives as long as this object.
+        num_threads: 1 runs in the calling thread; more make a pool that lives as long as this.
 
     Attributes:
-        state: [B, nstate] full physics state: time, positions, velocities.
-        sensors: [B, n] sensordata of the last substep.
-        yaw: [B, 2] yaw of the left and right standing block at the last reset, rad.
-        start: the nominal start of an episode.
+        models: The model of each environment.
+        state: Full physics state: time, positions, velocities, [B, nstate].
+        sensors: Sensordata of the last substep, [B, n].
+        yaw: Yaw of the left and right standing block at the last reset, [B, 2] [rad].
+        start: The nominal start of an episode.
     """
 
-    def __init__(
-        self, model: mujoco.MjModel, config: InsertionConfig, num_envs: int, num_threads: int
-    ) -> None:
+    def __init__(self, config: InsertionConfig, num_envs: int, num_threads: int) -> None:
+        model = compile_model(config)
         self.config = config
         self.start = StartState(model, config)
         # Per-environment models exist only where an episode's yaw is part of the model.
         shared = not self.start.yaw_in_model
-        self._models = [model if shared else copy.copy(model) for _ in range(num_envs)]
+        self.models = [model if shared else copy.copy(model) for _ in range(num_envs)]
         self._data = [mujoco.MjData(model) for _ in range(num_threads)]
         self._rollout = rollout.Rollout(nthread=num_threads if num_threads > 1 else 0)
         steps, size = config.substeps, mujoco.mj_stateSize(model, STATE)
@@ -67,37 +69,28 @@ class BatchSimulation:
         self._trace = np.zeros((num_envs, steps, self.start.layout.size))
         self._controls = np.zeros((num_envs, steps, model.nu))
 
-    @property
-    def model(self) -> mujoco.MjModel:
-        """The model of the first environment."""
-        return self._models[0]
-
-    def slot_model(self, slot: int) -> mujoco.MjModel:
-        """The model of one environment."""
-        return self._models[slot]
-
     def reset(self, slot: int, episode: Episode) -> np.ndarray:
-        """Starts ``episode`` in a slot; returns its sensors as a trace of one substep [1, n]."""
-        model, data = self._models[slot], self._data[0]
+        """Start ``episode`` in a slot; return its sensors as a trace of one substep, [1, 1, n]."""
+        model, data = self.models[slot], self._data[0]
         self.set_yaw(slot, episode.yaw)
         self.start.hold(model, data, self.start.qpos(model, episode))
         mujoco.mj_getState(model, data, self.state[slot], STATE)
         self.sensors[slot] = data.sensordata
-        return data.sensordata.copy()[None]
+        return data.sensordata.copy()[None, None]
 
     def set_yaw(self, slot: int, yaw: np.ndarray) -> None:
-        """Sets the episode's yaw [2] of a slot."""
+        """Set the episode's yaw [2] of a slot."""
         self.yaw[slot] = yaw
-        self.start.set_yaw(self._models[slot], yaw)
+        self.start.set_yaw(self.models[slot], yaw)
 
     def step(
         self, controls: np.ndarray, active: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Advances the environments by one control step.
+        """Advance the environments by one control step.
 
         Args:
-            controls: [B, nu], held during the step.
-            active: [B] which environments take the step; ``None`` for all.
+            controls: Actuator controls, held during the step, [B, nu].
+            active: Which environments take the step, [B]; ``None`` for all.
 
         Returns:
             The sensors of every substep [B, substeps, n] (overwritten by the next call), and which
@@ -105,29 +98,19 @@ class BatchSimulation:
         """
         self._controls[:] = controls[:, None]
         self._rollout.rollout(
-            self._models,
-            self._data,
-            self.state,
-            self._controls,
-            control_spec=CONTROL,
-            skip_checks=True,
-            nstep=self.config.substeps,
-            state=self._states,
-            sensordata=self._trace,
-        )
+            self.models, self._data, self.state, self._controls, control_spec=CONTROL,
+            skip_checks=True, nstep=self.config.substeps,
+            state=self._states, sensordata=self._trace,
+        )  # fmt: skip
         last = self._states[:, -1]
-        diverged = has_diverged(last, self.state[:, 0], self.model, self.config)
+        diverged = has_diverged(last, self.state[:, 0], self.models[0], self.config)
         if active is not None:
             diverged &= active
-        if active is not None or diverged.any():
-            fine = ~diverged if active is None else active & ~diverged
-            self.state[fine] = last[fine]
-            self.sensors[fine] = self._trace[fine, -1]
-        else:
-            self.state[:] = last
-            self.sensors[:] = self._trace[:, -1]
+        stepped = ~diverged if active is None else active & ~diverged
+        self.state[stepped] = last[stepped]
+        self.sensors[stepped] = self._trace[stepped, -1]
         return self._trace, diverged
 
     def close(self) -> None:
-        """Ends the threads."""
+        """End the threads."""
         self._rollout.close()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -14,17 +13,12 @@ from ..model.sawyer import TOOL_DOWN
 from .control import jacobian, orientation_error, set_points
 from .signals import SignalLayout
 
+__all__ = ["Episode", "StartState", "draw_episode"]
+
 SETTLE_TIME = 0.5
 ARM_JOINTS = tuple(f"sawyer/right_j{index}" for index in range(NUM_JOINTS))
 BLOCK_BODIES = ("left_block/", "right_block/")
-
-
-class Random(Protocol):
-    """What a reset needs of a generator: numpy's Generator and RandomState both have it."""
-
-    def uniform(self, low: float, high: float, size: int) -> np.ndarray:
-        """Draws from U[low, high)."""
-        ...
+Random = np.random.Generator | np.random.RandomState
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,7 +32,7 @@ class Episode:
 
 
 def draw_episode(config: InsertionConfig, random: Random) -> Episode:
-    """Draws the next episode. Takes five numbers from ``random``, whatever the settings."""
+    """Draw the next episode; takes five numbers from ``random``, whatever the settings."""
     unit = np.asarray(random.uniform(0.0, 1.0, 5))
     if config.yaw_choices:
         index = (unit[:2] * len(config.yaw_choices)).astype(int)
@@ -52,9 +46,9 @@ class StartState:
     """Nominal start of an episode: arm by inverse kinematics, blocks settled under gravity.
 
     Attributes:
-        home: [7] joint positions with the tool at its nominal start, rad.
-        tare: [6] wrist reading of the unloaded tool at rest, N and N m.
-        yaw_in_model: whether the standing blocks' yaw is part of the model (``body_quat``), which
+        home: Joint positions with the tool at its nominal start, [7] [rad].
+        tare: Wrist reading of the unloaded tool at rest, [6] [N] and [N m].
+        yaw_in_model: Whether the standing blocks' yaw is part of the model (``body_quat``), which
             keeps the paper's three degrees of freedom, rather than of the state.
     """
 
@@ -94,12 +88,12 @@ class StartState:
             posture = 0.2 * 0.9**iteration * (np.array(TOOL_DOWN) - qpos[self._arm])
             qpos[self._arm] += posture + inverse @ (error - jac @ posture)
         raise ValueError(
-            f"the arm cannot reach the start {target.round(3).tolist()} with the tool pointing down; "
-            "bring goal_xy nearer or lower start_height"
+            "goal_xy: expected a start that the arm reaches with the tool pointing down, got "
+            f"{target.round(3).tolist()}; bring goal_xy nearer or lower start_height"
         )
 
     def _settle(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Lets the blocks sink into the contact, and keeps their height."""
+        """Let the blocks sink into the contact, and keep their height."""
         self.hold(model, data, self._qpos)
         for _ in range(round(SETTLE_TIME / self.config.physics_timestep)):
             mujoco.mj_step(model, data)
@@ -109,21 +103,21 @@ class StartState:
                 self._qpos[height] = data.qpos[height]
 
     def hold(self, model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> None:
-        """Puts ``data`` at rest in ``qpos`` with the arm's set point where the arm is."""
+        """Put ``data`` at rest in ``qpos`` with the arm's set point where the arm is."""
         forward(model, data, qpos)
         signals = self.layout.views(data.sensordata[None])
         data.ctrl[:] = set_points(signals, np.zeros((1, 3)), self.config, self.home)[0]
         mujoco.mj_forward(model, data)
 
     def _first_address(self, model: mujoco.MjModel, body: str) -> int:
-        """Where in qpos a standing block's x lies; y and z follow, in a planar block and a free one."""
+        """Return where in qpos a standing block's x lies; y and z follow."""
         return int(model.jnt_qposadr[model.body(body).jntadr[0]])
 
     def qpos(self, model: mujoco.MjModel, episode: Episode) -> np.ndarray:
-        """Positions [nq] at the start of ``episode``; velocities are zero.
+        """Return positions [nq] at the start of ``episode``; velocities are zero.
 
-        The offset of the end effector goes through the Jacobian at the nominal start, which is exact
-        to a fraction of a millimetre for the distances in question.
+        The offset of the end effector goes through the Jacobian at the nominal start, which is
+        exact to a fraction of a millimeter for the distances in question.
         """
         qpos = self._qpos.copy()
         qpos[self._arm] += self._inverse @ episode.offset
@@ -134,19 +128,19 @@ class StartState:
         return qpos
 
     def set_yaw(self, model: mujoco.MjModel, yaw: np.ndarray) -> None:
-        """Writes the standing blocks' yaw [2] into the model where it belongs there."""
+        """Write the standing blocks' yaw [2] into the model where it belongs there."""
         if self.yaw_in_model:
             for body, angle in zip(self._body_ids, yaw, strict=True):
                 model.body_quat[body] = yaw_quaternion(angle)
 
 
 def forward(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> None:
-    """Puts ``data`` at rest in ``qpos`` and computes its sensors, without warm start."""
+    """Put ``data`` at rest in ``qpos`` and compute its sensors, without warm start."""
     mujoco.mj_resetData(model, data)
     data.qpos[:] = qpos
     mujoco.mj_forward(model, data)
 
 
 def yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:
-    """Rotation by ``yaw`` about the vertical, wxyz."""
+    """Return the rotation by ``yaw`` about the vertical, wxyz."""
     return (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))

@@ -21,8 +21,8 @@ def test_check_env_specs(variant: str, num_envs: int) -> None:
     env = InsertionEnv(variant, num_envs=num_envs)
     check_env_specs(env)
     assert env.batch_size == torch.Size([num_envs])
-    leaves = {spec.dtype for spec in env.observation_spec.values(True, True)}
-    assert leaves == {torch.float32, torch.bool}
+    types = {spec.dtype for spec in env.observation_spec.values(True, True)}
+    assert types == {torch.float32, torch.bool}
 
 
 def test_keys(variant: str) -> None:
@@ -32,12 +32,21 @@ def test_keys(variant: str) -> None:
     assert ("wrench" in reset) == (variant == "sim")
     assert ("force_z" in reset) == (variant == "real")
     assert not reset["success"].any()
+    assert "reward" not in reset
     stepped = act(env, DOWN)
     terms = stepped["reward_terms"]
     assert set(terms.keys()) == {"distance", "tilt"} | (
         {"displacement", "yaw"} if variant == "real" else set()
     )
     torch.testing.assert_close(sum(terms.values()), stepped["reward"])
+    assert set(stepped["metrics"].keys()) == {"contact_force", "tilt"}
+    assert stepped["metrics", "tilt"].shape == (2, 1)
+
+
+def test_actions_in_double_precision_are_the_same(variant: str) -> None:
+    single, double = (InsertionEnv(variant, seed=1) for _ in range(2))
+    single.reset(), double.reset()
+    assert_same(act(single, 0.5 * DOWN), act(double, 0.5 * DOWN.double()))
 
 
 def test_slot_equals_a_batch_of_one(variant: str) -> None:
@@ -51,7 +60,7 @@ def test_slot_equals_a_batch_of_one(variant: str) -> None:
             together = act(batch, action)
             alone = [act(env, action[slot]) for slot, env in enumerate(singles)]
             assert_same(together, torch.cat(alone))
-    assert together["contact_force"].max() > 0
+    assert together["metrics", "contact_force"].max() > 0
 
 
 def test_results_do_not_depend_on_threads(variant: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -106,9 +115,10 @@ def test_partial_reset_touches_only_its_slots(variant: str) -> None:
     after = env.reset(before.exclude("reward").set("_reset", mask))
     np.testing.assert_array_equal(env.physics_state()[[0, 2]], state[[0, 2]])
     assert env.physics_state()[1, 0] == 0
-    for key in ("blocks", "end_effector_position", "contact_force"):
-        assert torch.equal(after[key][[0, 2]], before[key][[0, 2]])
-        assert not torch.equal(after[key][1], before[key][1]) or key == "contact_force"
+    unchanged = before.exclude("reward")[[0, 2]]
+    assert_same(after[[0, 2]], unchanged)
+    for key in ("blocks", "end_effector_position"):
+        assert not torch.equal(after[key][1], before[key][1])
     for _ in range(39):
         done = act(env, DOWN)["done"].flatten().tolist()
         assert done == [False] * 3
@@ -150,11 +160,12 @@ def test_force_and_contact_have_the_right_sign(variant: str) -> None:
     reset = env.reset()
     key, index = ("wrench", 2) if variant == "sim" else ("force_z", 0)
     assert reset[key].abs().max() < 0.1
-    assert reset["contact_force"].max() == 0
+    assert reset["metrics", "contact_force"].max() == 0
     for _ in range(25):
         end = act(env, 0.5 * DOWN)
     assert 5 < end[key][0, index] < 60
-    assert end["contact_force"].item() == pytest.approx(end[key][0, index].item(), rel=0.2)
+    contact = end["metrics", "contact_force"].item()
+    assert contact == pytest.approx(end[key][0, index].item(), rel=0.2)
 
 
 def test_controller_reaches_the_goal(variant: str) -> None:
@@ -163,11 +174,11 @@ def test_controller_reaches_the_goal(variant: str) -> None:
     for _ in range(env.config.episode_length):
         td = act(env, (25 * (td["goal"] - td["end_effector_position"])).clamp(-0.5, 0.5))
     assert td["success"].all()
-    assert td["tilt"].max() < 0.02
+    assert td["metrics", "tilt"].max() < 0.02
 
 
 def diverge(env: InsertionEnv, slot: int) -> None:
-    """Gives one slot a velocity that no physics survives."""
+    """Give one slot a velocity that no physics survives."""
     env._simulation.state[slot, -1] = np.nan
 
 
@@ -233,17 +244,31 @@ def test_state_of_another_size_is_refused() -> None:
         InsertionEnv("sim", num_envs=3).load_state_dict(state)
 
 
+@pytest.mark.parametrize("seed", [-1, 0.5])
+def test_seed_is_checked(seed: float) -> None:
+    with pytest.raises(ValueError, match=f"seed: expected a whole number.* got {seed}"):
+        InsertionEnv("sim", seed=seed)
+
+
+def test_arguments_are_checked_without_building_physics(variant: str) -> None:
+    sizes = InsertionEnv.check_arguments(variant, num_envs=4, yaw_range=0.1)
+    spec = InsertionEnv(variant).observation_spec
+    assert sizes == {name: spec[name].shape[-1] for name in sizes}
+    with pytest.raises(ValueError, match=r"reward_weights: expected .*'tilt'.*got .*'tlit'"):
+        InsertionEnv.check_arguments(variant, reward_weights={"tlit": 1.0})
+
+
 @pytest.mark.parametrize("name", ["num_envs", "num_threads"])
 @pytest.mark.parametrize("value", [0, -1, 1.5])
 def test_sizes_are_checked(name: str, value: float) -> None:
-    with pytest.raises(ValueError, match=f"{name} must be a whole number"):
+    with pytest.raises(ValueError, match=f"{name}: expected a whole number.* got {value}"):
         InsertionEnv("sim", **{name: value})
 
 
 def test_unknown_override_and_variant() -> None:
-    with pytest.raises(ValueError, match="unknown task setting 'yaw'"):
+    with pytest.raises(ValueError, match=r"task settings: .* got 'yaw'"):
         InsertionEnv("sim", yaw=0.3)
-    with pytest.raises(ValueError, match="unknown variant"):
+    with pytest.raises(ValueError, match="variant: expected one of"):
         InsertionEnv("moon")
 
 
@@ -252,9 +277,9 @@ def test_bad_actions() -> None:
     env.reset()
     action = torch.zeros(3, 3)
     action[2, 1] = torch.nan
-    with pytest.raises(ValueError, match=r"slot\(s\) \[2\]"):
+    with pytest.raises(ValueError, match=r"action: expected finite numbers, .*slot\(s\) \[2\]"):
         env.step(TensorDict({"action": action}, [3]))
-    with pytest.raises(ValueError, match=r"shape \(3, 3\)"):
+    with pytest.raises(ValueError, match=r"action: expected shape \(3, 3\)"):
         env.step(TensorDict({"action": torch.zeros(3, 2)}, [3]))
 
 

@@ -1,11 +1,15 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+import yaml
+from torchrl.envs.utils import check_env_specs
 
-from rrl.envs import make_config
+from rrl.envs import InsertionEnv, load, make_config
 from rrl.envs.insertion import quantities as q
 
 
@@ -18,7 +22,7 @@ def signals(
     one = {
         "tool_position": np.array(tool),
         "held_position": np.array(tool),
-        "block_position": q.desired_block_positions(make_config("sim")),
+        "block_position": np.array(make_config("sim").block_goals),
         "block_z_axis": np.array([z_axis, z_axis]),
         "block_y_axis": np.array([y_axis, y_axis]),
         "wrist_force": np.array([0.0, 0.0, 5.0]),
@@ -47,49 +51,68 @@ def test_inclination_sees_a_block_lying_on_its_side() -> None:
     trace = signals()
     trace["block_z_axis"][:] = (0.0, 1.0, 0.0)
     trace["block_y_axis"][:] = (0.0, 0.0, -1.0)
-    m = q.measure(trace, TARE)
-    np.testing.assert_allclose(m.inclination, [[math.pi / 2] * 2])
-    assert all(np.isfinite(field).all() for field in m)
-    assert not q.success(m, make_config("sim")).any()
+    out = q.evaluate(trace, TARE, make_config("sim"))
+    assert out["metrics/tilt"].item() == pytest.approx(math.pi / 2)
+    assert all(np.isfinite(value).all() for value in out.values())
+    assert not out["success"].any()
 
 
 def test_wrench_is_tared_and_averaged_and_contact_is_the_peak() -> None:
     trace = signals()
     trace["wrist_force"][0, :, 2] = [6.0, 6.0, 2.0, 2.0]
     trace["contact_force"][0, :, 0] = [0.0, 9.0, 1.0, 0.0]
-    m = q.measure(trace, TARE)
-    assert m.wrench[0, 2] == pytest.approx(2.0)
-    assert m.contact_force[0] == 9.0
+    out = q.evaluate(trace, TARE, make_config("sim"))
+    assert out["wrench"][0, 2] == pytest.approx(2.0)
+    assert out["metrics/contact_force"].item() == 9.0
 
 
-def test_observation_layout() -> None:
-    m = q.measure(signals(tilt=0.1, yaw=0.2, tool=(0.61, 0.02, 0.09)), TARE)
-    for variant in ("sim", "real"):
-        config = make_config(variant)
-        values = q.observation(m, config)
-        assert {name: v.shape[1] for name, v in values.items()} == q.observation_sizes(config)
-        left_x = 0.6 - config.block_offset
-        np.testing.assert_allclose(values["blocks"][0, :5], (left_x, 0, 0.04, 0.1, 0.2), atol=1e-9)
-        np.testing.assert_allclose(values["blocks"][0, 10:], (0.61, 0.02, 0.09))
-        np.testing.assert_allclose(values["goal"][0], (0.6, 0.0, 0.05))
+@pytest.mark.parametrize("variant", ["sim", "real"])
+def test_observation_layout(variant: str) -> None:
+    config = make_config(variant)
+    out = q.evaluate(signals(tilt=0.1, yaw=0.2, tool=(0.61, 0.02, 0.09)), TARE, config)
+    sizes = q.observation_sizes(config)
+    assert {name: out[name].shape for name in sizes} == {n: (1, size) for n, size in sizes.items()}
+    assert [*out] == [*q.output_names(config), "reward"]
+    left_x = 0.6 - config.block_offset
+    np.testing.assert_allclose(out["blocks"][0, :5], (left_x, 0, 0.04, 0.1, 0.2), atol=1e-9)
+    np.testing.assert_allclose(out["blocks"][0, 10:], (0.61, 0.02, 0.09))
+    np.testing.assert_allclose(out["goal"][0], (0.6, 0.0, 0.05))
 
 
 def test_reward_is_the_papers() -> None:
     trace = signals(tilt=-0.2, yaw=0.3, tool=(0.6, 0.03, 0.09))
     trace["block_position"][..., 0, 1] += 0.04
     trace["block_position"][..., 1, 2] += 0.03
-    m = q.measure(trace, TARE)
-    config = make_config(
-        "real", {"tilt_weight": 2.0, "displacement_weight": 3.0, "yaw_weight": 5.0}
-    )
-    terms = q.reward_terms(m, config)
-    assert tuple(terms) == q.reward_term_names(config)
+    weights = {"tilt": 2.0, "displacement": 3.0, "yaw": 5.0}
+    out = q.evaluate(trace, TARE, make_config("real", {"reward_weights": weights}))
     expected = {"distance": -0.05, "tilt": -0.8, "displacement": -0.15, "yaw": -3.0}
-    assert {name: float(term[0]) for name, term in terms.items()} == pytest.approx(expected)
+    terms = {name: out[f"reward_terms/{name}"].item() for name in expected}
+    assert terms == pytest.approx(expected)
+    assert out["reward"].item() == pytest.approx(sum(expected.values()))
 
 
 def test_sim_has_no_terms_of_weight_zero() -> None:
-    assert q.reward_term_names(make_config("sim")) == ("distance", "tilt")
+    terms = [n for n in q.output_names(make_config("sim")) if n.startswith("reward_terms")]
+    assert terms == ["reward_terms/distance", "reward_terms/tilt"]
+
+
+def test_a_new_quantity_is_one_entry(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(q.METRICS, "height", lambda m, config: m.end_effector[:, 2])
+    monkeypatch.setitem(
+        q.REWARD_TERMS, "effort", q.RewardTerm(2.0, lambda m, config: m.wrench[:, 2])
+    )
+    monkeypatch.setitem(
+        q.OBSERVATIONS, "tool_xy", q.Observation(2, lambda m, c: m.end_effector[:, :2])
+    )
+    env = InsertionEnv("sim", num_envs=2)
+    check_env_specs(env)
+    last = env.rollout(3)[:, -1]["next"]
+    torch.testing.assert_close(last["metrics", "height"], last["end_effector_position"][:, 2:])
+    torch.testing.assert_close(last["reward_terms", "effort"], -2 * last["wrench"][:, 2:3])
+    torch.testing.assert_close(last["tool_xy"], last["end_effector_position"][:, :2])
+    assert {"metrics/height", "reward_terms/effort"} <= set(
+        load("insertion-sim").reset().observation
+    )
 
 
 @pytest.mark.parametrize(
@@ -104,5 +127,13 @@ def test_sim_has_no_terms_of_weight_zero() -> None:
     ],
 )
 def test_success(changes: dict, expected: bool) -> None:
-    m = q.measure(signals(**changes), TARE)
-    assert q.success(m, make_config("sim")).tolist() == [expected]
+    out = q.evaluate(signals(**changes), TARE, make_config("sim"))
+    assert out["success"].tolist() == [[expected]]
+
+
+@pytest.mark.parametrize("name", ["insertion-sim", "insertion-real"])
+def test_the_yaml_declares_every_metric(name: str) -> None:
+    path = Path(__file__).parents[3] / "configs" / "env" / f"{name}.yaml"
+    declared = yaml.safe_load(path.read_text())["metrics"]
+    assert set(declared) == set(q.METRICS)
+    assert all(set(entry) == {"unit", "reduce"} for entry in declared.values())

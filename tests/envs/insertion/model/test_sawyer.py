@@ -50,5 +50,5 @@ def test_gravity_compensation_counts_against_the_torque_limits(variant: str) -> 
 
 
 def test_gripper_rejects_a_block_wider_than_its_travel() -> None:
-    with pytest.raises(ValueError, match="too little for a block"):
+    with pytest.raises(ValueError, match="held_half_size: expected a block at most as wide"):
         ParallelGripper(opening=2 * FINGER_TRAVEL + 0.001)

@@ -94,7 +94,7 @@ def test_actions_are_clipped() -> None:
 
 @pytest.mark.parametrize("shape", [(3,), (2, 3), (1, 4)])
 def test_wrong_shape_says_what_it_needs(shape: tuple) -> None:
-    with pytest.raises(ValueError, match=r"shape \(1, 3\).*got"):
+    with pytest.raises(ValueError, match=r"action: expected shape \(1, 3\).*got"):
         check_action(np.zeros(shape), 1)
 
 
