@@ -137,9 +137,7 @@ def render(config: assembly.Config, run_dir: Path, console: Console) -> None:
         console.print(f"  {path}", highlight=False, soft_wrap=True)
 
 
-def _evaluate(
-    config: assembly.Config, run_dir: Path, console: Console
-) -> tuple[Comparisons, Any]:
+def _evaluate(config: assembly.Config, run_dir: Path, console: Console) -> tuple[Comparisons, Any]:
     assembly.check(config)
     settings = assembly.settings(config)
     agent, path = trained_agent(config, run_dir)

@@ -245,9 +245,11 @@ def _check_symmetries(env: Config, sizes: dict[str, int] | None) -> Problems:
             if len(maps[key]) != (sizes or {})[key]:
                 yield f"env.symmetries.{name}.{key}: expected {(sizes or {})[key]} numbers, got {maps[key]}"
                 return
+    history = env.get("action_history", 1)
+    nothing: Any = None
     unbuilt = EnvironmentFactory(
-        None, None, inputs, action_history=env.get("action_history", 1), symmetries=mirrors
-    )  # type: ignore[arg-type]
+        nothing, nothing, inputs, action_history=history, symmetries=mirrors
+    )
     try:
         unbuilt.symmetry()
     except ValueError as error:

@@ -44,9 +44,7 @@ def wilson(successes: int, trials: int, confidence: float = 0.95) -> Interval:
     return float(interval.low), float(interval.high)
 
 
-def success_interval(
-    successes: Sequence[int], episodes: int, confidence: float = 0.95
-) -> Interval:
+def success_interval(successes: Sequence[int], episodes: int, confidence: float = 0.95) -> Interval:
     """Return an interval of the mean success rate of runs like these.
 
     The successes of a run are beta-binomial: runs differ, and episodes of one run are alike. The

@@ -38,7 +38,9 @@ def write_report(runs: Sequence[Run], out: Path) -> Path:
     _curves(page, groups)
     if (figure := charts.time_split(groups)) is not None:
         page.section("Time")
-        page.chart(figure, "Where the time of a run went, as far as it is logged; mean of the runs.")
+        page.chart(
+            figure, "Where the time of a run went, as far as it is logged; mean of the runs."
+        )
     _videos(page, runs)
     _configuration(page, groups)
     _versions(page, groups)
@@ -47,7 +49,16 @@ def write_report(runs: Sequence[Run], out: Path) -> Path:
 
 def _overview(page: Page, groups: Sequence[Group]) -> None:
     page.section("Runs")
-    header = ["run", "arm", "environment", "algorithm", "disturbance", "seeds", "steps", "directory"]
+    header = [
+        "run",
+        "arm",
+        "environment",
+        "algorithm",
+        "disturbance",
+        "seeds",
+        "steps",
+        "directory",
+    ]
     page.table(header, [_description(group) for group in groups])
 
 
@@ -104,9 +115,7 @@ def _curves(page: Page, groups: Sequence[Group]) -> None:
         return panels.logged(metrics.name(group, name) for name in names)
 
     followed = ", ".join(dict.fromkeys(group.followed for group in groups))
-    entries = dict.fromkeys(
-        n for g in groups for n in g.metrics_of(metrics.EVALUATION, g.followed)
-    )
+    entries = dict.fromkeys(n for g in groups for n in g.metrics_of(metrics.EVALUATION, g.followed))
     units = {name: unit for group in groups for name, unit in group.units.items()}
     limits = dict.fromkeys(n for g in groups for n in g.metrics_of(metrics.SAFETY))
     sections: tuple[tuple[str, Sequence[Panel], str], ...] = (
