@@ -38,7 +38,9 @@ class Reporting(PointMass):
         spec = self.observation_spec
         spec["success"] = Unbounded((*batch, 1))
         spec["metrics"] = Composite(
-            clock=Unbounded((*batch, 1)), right=Unbounded((*batch, 1), dtype=torch.bool), shape=batch
+            clock=Unbounded((*batch, 1)),
+            right=Unbounded((*batch, 1), dtype=torch.bool),
+            shape=batch,
         )
         for name, value in self.extra.items():
             spec[name] = Unbounded((*batch, *value.shape))
@@ -122,7 +124,10 @@ def test_success_may_be_a_number(factory, dtype):
     [
         ({"safety": torch.zeros(1)}, "safety: expected named entries"),
         ({"reward_terms": torch.zeros(2)}, "reward_terms: expected named entries"),
-        ({"diverged": torch.zeros(2)}, r"diverged: expected one number a slot .*got a tensor \[2\]"),
+        (
+            {"diverged": torch.zeros(2)},
+            r"diverged: expected one number a slot .*got a tensor \[2\]",
+        ),
     ],
 )
 def test_a_reserved_entry_of_another_kind_is_refused(factory, extra, message):

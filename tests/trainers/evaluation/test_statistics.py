@@ -136,4 +136,3 @@ def test_strata_that_differ_do_not_widen_the_bootstrap():
     assert high - low < 0.3
     low, high = iqm_interval(np.concatenate(tasks))  # resampled as if they were one task
     assert high - low > 2.0
-
