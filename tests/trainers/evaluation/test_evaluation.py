@@ -15,9 +15,13 @@ from rrl.controllers import ProportionalController
 from rrl.envs import InsertionEnv
 from rrl.trainers.environment import EnvironmentFactory, Input, Metric
 from rrl.trainers.evaluation.episodes import Comparison
-from rrl.trainers.evaluation.rollout import run_episodes, zero_residual
 from rrl.trainers.evaluation.evaluator import Evaluator
-from rrl.trainers.evaluation.rollout import isolated_generators, rollout
+from rrl.trainers.evaluation.rollout import (
+    isolated_generators,
+    rollout,
+    run_episodes,
+    zero_residual,
+)
 from rrl.trainers.seeds import Stream
 from rrl.trainers.settings import EvaluationSettings
 from rrl.transforms import ControlNoise

@@ -1,5 +1,7 @@
 """One number per metric, resumed files that go on, and W&B's own environment variables."""
 
+import time
+
 import pytest
 
 from rrl.trainers.loggers import CSVLogger, TensorBoardLogger, WandbLogger, read_metrics
@@ -58,7 +60,9 @@ def test_an_offline_run_is_named_and_grouped_by_its_directory(tmp_path):
     run_dir = tmp_path / "lr-3" / "seed-2"
     logged(WandbLogger(name="mine"), run_dir, [(5, {"a/b": 0.5})], config={"x": 1})
     (folder,) = run_dir.glob("wandb/offline-run-*")
-    found = read(folder)
+    patience = time.monotonic() + 30  # W&B's own process writes the file
+    while not (found := read(folder)).rows("a/b") and time.monotonic() < patience:
+        time.sleep(0.1)
     assert (found.run.run_group, found.run.display_name) == ("lr-3", "mine seed-2")
     assert found.config["x"] == 1
     assert found.rows("a/b")[0]["env_steps"] == 5
