@@ -222,7 +222,7 @@ def plain_name(name: str) -> str:
 
 def _run(command: str, hydra_config: DictConfig, *, resume: bool) -> None:
     _quieten()
-    from .. import (
+    from . import (
         commands,  # here, because it imports torch and torchrl: help and usage errors come at once
     )
 

@@ -272,12 +272,9 @@ def _check_symmetries(
                 yield f"{path}: expected {count} numbers, got {maps[key]}"
                 return
     history = env.get("action_history", 1)
+    nothing: Any = None
     unbuilt = EnvironmentFactory(
-        None,  # type: ignore[arg-type]
-        None,  # type: ignore[arg-type]
-        inputs,
-        action_history=history,
-        symmetries=mirrors,
+        nothing, nothing, inputs, action_history=history, symmetries=mirrors
     )
     try:
         unbuilt.symmetry()

@@ -51,6 +51,10 @@ class Evaluator:
             self._controller[key] = self._play(alone, *key)
         return Comparison(self._play(policy, *key), self._controller[key])
 
+    def first_seed(self, stream: Stream) -> int:
+        """Return the seed of a stream's first episode; episode ``i`` has this seed plus ``i``."""
+        return first_seed(stream, self.settings.seed)
+
     def close(self) -> None:
         """Close the environments."""
         while self._envs:
@@ -64,7 +68,7 @@ class Evaluator:
             self._env(scenario, episodes),
             policy,
             episodes,
-            first_seed(stream, self.settings.seed),
+            self.first_seed(stream),
             factory.max_episode_steps,
             factory.metrics,
         )

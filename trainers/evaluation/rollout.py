@@ -108,78 +108,52 @@ def run_episodes(
         metrics: How what the environment writes is reduced; names that are missing get the mean.
     """
     slots = max(env.batch_size.numel(), 1)
-    batches = []
+    parts = []
     for first in range(0, num_episodes, slots):
         kept = min(slots, num_episodes - first)
-        tally = _Tally(slots, metrics or {})
         with isolated_generators(seed + first):
-            steps = rollout(env, policy, seed + first, max_steps, kept)
-            next(steps)  # the reset
-            for td, running in steps:
-                tally.add(td, running)
-        batches.append(tally.columns(kept))
-    columns = {key: np.concatenate([batch[key] for batch in batches]) for key in batches[0]}
+            _, *steps = rollout(env, policy, seed + first, max_steps, kept)
+        running = np.stack([mask[:kept].numpy() for _, mask in steps])  # (T, kept)
+        parts.append(_reduced([_entries(td, kept) for td, _ in steps], running, metrics or {}))
+    columns = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
 
-    def group(name: str) -> dict[str, np.ndarray]:
-        return {key[1]: values for key, values in columns.items() if key[0] == name}
+    def named(group: str) -> dict[str, np.ndarray]:
+        found = [key for key in columns if key.startswith(f"{group}/")]
+        return {key.partition("/")[2]: columns[key] for key in found}
 
-    plain = group("")
     return Episodes(
-        plain["return"],
-        plain["length"],
-        plain.get(SUCCESS),
-        plain[DIVERGED],
-        group(METRICS),
-        group(SAFETY),
+        columns[REWARD],
+        columns["length"].astype(np.int64),
+        columns[SUCCESS].astype(bool) if SUCCESS in columns else None,
+        columns.get(DIVERGED, np.zeros(num_episodes)).astype(bool),
+        named(METRICS),
+        {limit: count.astype(np.int64) for limit, count in named(SAFETY).items()},
     )
 
 
-class _Tally:
-    """Sums, last values and extremes of a batch of episodes, each ``[slots]``."""
+def _entries(td: TensorDictBase, kept: int) -> dict[str, np.ndarray]:
+    """What a step reports of the first ``kept`` slots, float64 ``[kept]``, by name."""
+    found = td.select(REWARD, SUCCESS, DIVERGED, METRICS, SAFETY, strict=False).flatten_keys("/")
+    return {key: value.flatten()[:kept].double().numpy() for key, value in found.items()}
 
-    def __init__(self, slots: int, metrics: Mapping[str, Metric]) -> None:
-        self._slots, self._metrics = slots, metrics
-        self._columns: dict[tuple[str, str], Tensor] = {
-            ("", "return"): torch.zeros(slots, dtype=torch.float64),
-            ("", "length"): torch.zeros(slots, dtype=torch.int64),
-            ("", DIVERGED): torch.zeros(slots, dtype=torch.bool),
-        }
 
-    def add(self, td: TensorDictBase, running: Tensor) -> None:
-        """Add one step of the episodes that are still running."""
-
-        def flat(value: Tensor) -> Tensor:
-            return value.reshape(self._slots)
-
-        self._put(("", "return"), "sum", flat(td[REWARD]).double(), running)
-        self._put(("", "length"), "sum", torch.ones_like(running).long(), running)
-        if SUCCESS in td:
-            self._put(("", SUCCESS), "last", flat(td[SUCCESS]).bool(), running)
-        if DIVERGED in td:
-            self._put(("", DIVERGED), "max", flat(td[DIVERGED]).bool(), running)
-        for limit, changed in td.get(SAFETY, {}).items():
-            self._put((SAFETY, limit), "sum", flat(changed).bool().long(), running)
-        for name, value in td.get(METRICS, {}).items():
-            self._put((METRICS, name), self._reduction(name), flat(value).double(), running)
-
-    def columns(self, kept: int) -> dict[tuple[str, str], np.ndarray]:
-        """Return one value for each of the first ``kept`` episodes."""
-        lengths = self._columns["", "length"]
-        means = [k for k in self._columns if k[0] == METRICS and self._reduction(k[1]) == "mean"]
-        columns = self._columns | {key: self._columns[key] / lengths for key in means}
-        return {key: values[:kept].numpy() for key, values in columns.items()}
-
-    def _reduction(self, name: str) -> str:
-        return self._metrics.get(name, Metric()).reduce
-
-    def _put(self, key: tuple[str, str], reduction: str, value: Tensor, running: Tensor) -> None:
-        old = self._columns.get(key)
-        if old is None:
-            new = value
-        elif reduction in ("sum", "mean"):
-            new = old + value
-        elif reduction == "last":
-            new = value
+def _reduced(
+    steps: list[dict[str, np.ndarray]], running: np.ndarray, metrics: Mapping[str, Metric]
+) -> dict[str, np.ndarray]:
+    """Every entry reduced over the running steps of each episode, and the episodes' ``length``."""
+    length = running.sum(axis=0)
+    out = {"length": length}
+    how = {REWARD: "sum", SUCCESS: "last", DIVERGED: "max"}
+    for key in steps[0]:
+        group, _, name = key.partition("/")
+        declared = metrics.get(name, Metric()).reduce if group == METRICS else "sum"
+        reduction, values = how.get(key, declared), np.stack([step[key] for step in steps])
+        if reduction == "last":
+            out[key] = values[length - 1, np.arange(len(length))]
+        elif reduction in ("max", "min"):
+            worst = -np.inf if reduction == "max" else np.inf
+            out[key] = getattr(np.where(running, values, worst), reduction)(axis=0)
         else:
-            new = torch.maximum(old, value) if reduction == "max" else torch.minimum(old, value)
-        self._columns[key] = new if old is None else torch.where(running, new, old)
+            total = np.where(running, values, 0.0).sum(axis=0)
+            out[key] = total / length if reduction == "mean" else total
+    return out

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..evaluation.statistics import exact_interval, mean_interval
+from ..evaluation.statistics import mean_interval, success_interval
 from .outcomes import Finding, Findings, Outcome
 from .spread import variances
 
@@ -120,7 +120,8 @@ def success_grows(finding: Finding) -> tuple[bool, str]:
     """The last evaluation is at 15 of 20 or more, and above the first one by its interval over seeds."""
     curve = finding.outcomes[0].curve("success")
     first, last = curve.values[:, 0], curve.values[:, -1]
-    low, high = np.clip(mean_interval(last), 0, 1)
+    episodes = finding.outcomes[0].followed_episodes
+    low, high = success_interval(np.rint(last * episodes).astype(int).tolist(), episodes)
     text = f"success at step {curve.steps[0]:.0f}: {first.mean():.0%}, at {curve.steps[-1]:.0f}: {last.mean():.0%} "
     text += f"[{low:.0%}, {high:.0%}]"
     return bool(last.mean() >= 15 / 20 and mean_interval(last - first)[0] > 0), text
@@ -232,9 +233,12 @@ def _counts(outcome: Outcome, scenario: str) -> tuple[float, float, str]:
     solved, trials = round(float(rates.sum()) * count), count * len(rates)
     controller = round(float(outcome.final("controller_success", scenario)[0]) * count)
     said = []
-    for name, n, of in (("residual", solved, trials), ("controller", controller, count)):
-        low, high = exact_interval(n, of)
-        said.append(f"{name} {n} of {of} [{low:.0%}, {high:.0%}], {20 * n / of:.1f} of 20")
+    for name, entry, n, of in (
+        ("residual", "success", solved, trials),
+        ("controller", "controller_success", controller, count),
+    ):
+        low, high = outcome.interval(entry, scenario)
+        said.append(f"{name} {n} of {of} [{low:.1%}, {high:.1%}], {20 * n / of:.1f} of 20")
     return solved / trials, controller / count, "; ".join(said)
 
 

@@ -11,15 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..evaluation.statistics import mean_interval
-from ..report.curves import Curve
-from ..report.learning_curve import CONTROLLER_COLOUR, RESIDUAL_COLOUR
+from ..report.learning_curve import CONTROLLER_COLOR, RESIDUAL_COLOR
 from .outcomes import Finding, Outcome
 from .spec import Experiment
 from .spread import variances
 from .tables import success_rows
 
 COLOURS = (
-    RESIDUAL_COLOUR,
+    RESIDUAL_COLOR,
     "#e69f00",
     "#009e73",
     "#cc79a7",
@@ -30,7 +29,7 @@ COLOURS = (
 )
 """Apart for the colour-blind (after Okabe and Ito), and from the controller's."""
 MARKERS = "osD^vPX*"
-INTERVAL = "mean and 95 % confidence interval (Student's t)"
+INTERVAL = "mean and 95 % interval"
 PANELS = (("success", "success rate [%]", 100.0), ("return", "return of an episode", 1.0))
 
 
@@ -50,7 +49,7 @@ def _curves(experiment: Experiment, finding: Finding) -> Figure:
     for axis, (entry, _, unit) in zip(axes, PANELS, strict=False):
         for i, outcome in enumerate(finding.outcomes):
             label = _label(experiment, outcome)
-            _band(axis, outcome.curve(entry).scaled(unit), COLOURS[i % len(COLOURS)], label, entry)
+            _band(axis, outcome, entry, unit, COLOURS[i % len(COLOURS)], label)
         _controllers(axis, finding, entry, unit)
         axis.set_xlabel("environment steps of one seed")
     _finish(figure, axes, experiment, finding)
@@ -61,11 +60,16 @@ def _controllers(axis: Axes, finding: Finding, entry: str, unit: float) -> None:
     """The controllers alone, dashed: one in its own colour, several each in the colour of what learns on top of it."""
     having = [i for i, outcome in enumerate(finding.outcomes) if not outcome.acts_alone]
     for n, i in enumerate(having):
-        curve = finding.outcomes[i].curve(f"controller_{entry}").scaled(unit)
-        colour = CONTROLLER_COLOUR if len(having) == 1 else COLOURS[i % len(COLOURS)]
+        curve = finding.outcomes[i].curve(f"controller_{entry}")
+        colour = CONTROLLER_COLOR if len(having) == 1 else COLOURS[i % len(COLOURS)]
         label = "controller alone" if len(having) == 1 else "the controller below it alone"
         axis.plot(
-            curve.steps, curve.mean, "--", color=colour, lw=1.4, label=label if n == 0 else None
+            curve.steps,
+            curve.mean * unit,
+            "--",
+            color=colour,
+            lw=1.4,
+            label=label if n == 0 else None,
         )
 
 
@@ -76,7 +80,7 @@ def _sweep(experiment: Experiment, finding: Finding) -> Figure:
         for i, arm in enumerate(finding.arms):
             _errors(axis, finding.arm(arm), entry, unit, arm, color=COLOURS[i], marker=MARKERS[i])
         first = finding.arm(finding.arms[0])
-        look = {"color": CONTROLLER_COLOUR, "marker": "s", "linestyle": "--"}
+        look = {"color": CONTROLLER_COLOR, "marker": "s", "linestyle": "--"}
         _errors(axis, first, f"controller_{entry}", unit, "controller alone", **look)
         axis.set_xlabel(experiment.sweep.label)
         axis.set_ylabel(f"final {axis.get_ylabel()}")
@@ -129,7 +133,7 @@ def _table(experiment: Experiment, finding: Finding) -> Figure:
     first = finding.outcomes[0]
     said = f"{len(first.seeds)} seeds, the same {first.episodes} episodes for each and for the controller"
     figure.suptitle(
-        f"{experiment.title} ({experiment.paper})\n{said}; intervals of Clopper and Pearson",
+        f"{experiment.title} ({experiment.paper})\n{said}; 95 % intervals over runs and episodes",
         fontsize=10,
     )
     return figure
@@ -174,22 +178,19 @@ def _label(experiment: Experiment, outcome: Outcome) -> str:
     )
 
 
-def _band(axis: Axes, curve: Curve, colour: str, label: str, entry: str) -> None:
-    low, high = curve.band()
-    if entry == "success":  # the t interval of a rate may leave [0, 1]
-        low, high = low.clip(0, 100), high.clip(0, 100)
-    axis.fill_between(curve.steps, low, high, color=colour, alpha=0.18, linewidth=0)
-    axis.plot(curve.steps, curve.mean, color=colour, lw=2, label=label)
+def _band(axis: Axes, outcome: Outcome, entry: str, unit: float, color: str, label: str) -> None:
+    curve = outcome.curve(entry)
+    if band := curve.band(outcome.followed_episodes if entry == "success" else None):
+        low, high = (bound * unit for bound in band)
+        axis.fill_between(curve.steps, low, high, color=color, alpha=0.18, linewidth=0)
+    axis.plot(curve.steps, curve.mean * unit, color=color, lw=2, label=label)
 
 
 def _errors(
     axis: Axes, outcomes: Sequence[Outcome], entry: str, unit: float, label: str, **look: Any
 ) -> None:
-    values = [outcome.final(entry) * unit for outcome in outcomes]
-    mean = np.array([v.mean() for v in values])
-    low, high = np.array([mean_interval(v) for v in values]).T
-    if entry.endswith("success"):
-        low, high = low.clip(0, 100), high.clip(0, 100)
+    mean = np.array([outcome.final(entry).mean() for outcome in outcomes]) * unit
+    low, high = np.array([outcome.interval(entry) for outcome in outcomes]).T * unit
     at = np.array([outcome.point.value for outcome in outcomes], dtype=float)
     error = np.maximum(0.0, [mean - low, high - mean])
     axis.errorbar(at, mean, error, capsize=3, lw=2, ms=5, label=label, **look)

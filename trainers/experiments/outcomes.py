@@ -9,10 +9,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ..evaluation.statistics import Interval, mean_interval, success_interval
 from ..launch.store import Store
 from ..loggers import metrics
 from ..report.curves import Curve, curve
-from ..report.runs import Run
+from ..report.runs import Group, Run
 from .plan import Point
 
 Floats = NDArray[np.float64]
@@ -33,12 +34,17 @@ class Outcome:
     @cached_property
     def seeds(self) -> list[int]:
         """Seeds that are finished, of those that were asked for."""
-        return sorted(seed for run in self.runs for seed in run.seeds if seed in self.point.seeds)
+        return [run.seed for run in self._runs]
 
     @property
     def followed(self) -> str:
         """The scenario that was evaluated during training."""
         return self.runs[0].followed
+
+    @property
+    def followed_episodes(self) -> int:
+        """Episodes of an evaluation during training."""
+        return Group("", self.runs).followed_episodes
 
     @property
     def scenarios(self) -> list[str]:
@@ -53,24 +59,38 @@ class Outcome:
     @cached_property
     def episodes(self) -> int:
         """Frozen episodes of each scenario in the final evaluation."""
-        return int(self.runs[0].config["trainer"]["evaluation"]["final_episodes"])
+        return len(self.runs[0].results[self.followed]["episodes"]["return"])
 
     def final(self, entry: str, scenario: str | None = None) -> Floats:
-        """One entry of the final evaluation's summary, by seed ``[S]``."""
-        by_seed = {seed: run.results for run in self.runs for seed in run.seeds}
-        return np.array(
-            [by_seed[seed][scenario or self.followed][str(seed)][entry] for seed in self.seeds]
-        )
+        """Return one entry of the final evaluation's summary, by seed ``[S]``."""
+        found = [run.results[scenario or self.followed]["summary"] for run in self._runs]
+        return np.array([summary[entry] for summary in found])
+
+    def interval(self, entry: str, scenario: str | None = None) -> Interval:
+        """Return the 95 % interval of an entry's mean over runs; the controller's over episodes."""
+        values = self.final(entry, scenario)
+        if entry not in ("success", "controller_success"):
+            return mean_interval(values)
+        counts = np.rint(values * self.episodes).astype(int).tolist()
+        return success_interval(counts if entry == "success" else counts[:1], self.episodes)
 
     def knows(self, entry: str) -> bool:
-        """Whether the final evaluation has that entry."""
-        return all(entry in summary for summary in self.runs[0].results[self.followed].values())
+        """Return whether the final evaluation has that entry."""
+        return entry in self.runs[0].results[self.followed]["summary"]
 
     def curve(self, entry: str) -> Curve:
-        """An entry of the evaluations during training and at the end, of the followed scenario."""
+        """Return an entry of the evaluations during training.
+
+        Raises:
+            KeyError: If a run has not logged it.
+        """
         name = metrics.name(metrics.EVALUATION, self.followed, entry)
-        series = {seed: points for run in self.runs for seed, points in run.record[name].items()}
-        return curve({seed: series[seed] for seed in self.seeds})
+        return curve({run.seed: run.record[name] for run in self._runs})
+
+    @property
+    def _runs(self) -> list[Run]:
+        wanted = [run for run in self.runs if run.seed in self.point.seeds]
+        return sorted(wanted, key=lambda run: run.seed)
 
 
 @dataclass(frozen=True)

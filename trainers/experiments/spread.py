@@ -37,8 +37,7 @@ def spatial_variance(run: Run) -> dict[int, NDArray[np.float64]]:
     entry = Input(**(inputs[POSITION] or {}))
     scale = entry.column(POSITION, entry.scale, sizes[POSITION]).double().numpy()
     positions = transitions[OBSERVATION].double().numpy()[:, columns] / scale * CENTIMETRES
-    # The transitions of stacked seeds are interleaved: record n belongs to seed n modulo their number.
-    return {seed: positions[k :: len(run.seeds)].var(axis=0) for k, seed in enumerate(run.seeds)}
+    return {run.seed: positions.var(axis=0)}
 
 
 def variances(outcome: Outcome) -> NDArray[np.float64]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from ..evaluation.statistics import exact_interval, iqm, iqm_interval, mean_interval
+from ..evaluation.statistics import iqm, iqm_interval
 from .outcomes import Finding, Outcome
 from .spec import Experiment
 
@@ -25,7 +26,7 @@ def success_rows(experiment: Experiment, finding: Finding) -> Table:
         "arm",
         *setting,
         "succeeded (all seeds)",
-        "exact 95 % interval",
+        "95 % interval",
         "of 20",
         "controller",
         "of 20",
@@ -83,9 +84,9 @@ def _success_row(outcome: Outcome, scenario: str, with_setting: bool) -> list[st
         outcome.point.arm,
         *([f"{outcome.point.value:g}"] if with_setting else []),
         f"{solved} of {trials}",
-        _percent(exact_interval(solved, trials)),
+        _percent(outcome.interval("success", scenario)),
         f"{TRIALS * solved / trials:.1f}",
-        f"{controller} of {count} {_percent(exact_interval(controller, count))}",
+        f"{controller} of {count} {_percent(outcome.interval('controller_success', scenario))}",
         f"{TRIALS * controller / count:.1f}",
         f"{rescued} / {broken}",
         ", ".join(f"{p:.1g}" for p in outcome.final("mcnemar_p", scenario)),
@@ -102,8 +103,7 @@ def _final_row(outcome: Outcome, with_setting: bool) -> list[str]:
         if not outcome.knows(entry):
             return [*cells, "", "", ""]
         values = outcome.final(entry)
-        bounds = (0.0, 100.0) if entry == "success" else (-np.inf, np.inf)
-        mean = f"{values.mean() * unit:.2f} {_interval(mean_interval(values), unit, bounds)}"
+        mean = f"{values.mean() * unit:.2f} {_interval(outcome.interval(entry), unit)}"
         controller = (
             "none"
             if outcome.acts_alone
@@ -114,13 +114,13 @@ def _final_row(outcome: Outcome, with_setting: bool) -> list[str]:
 
 
 def _iqm(strata: Sequence[np.ndarray], unit: float) -> str:
-    return f"{iqm(*strata) * unit:.2f} {_interval(iqm_interval(*strata), unit, (-np.inf, np.inf))}"
+    return f"{iqm(*strata) * unit:.2f} {_interval(iqm_interval(*strata), unit)}"
 
 
-def _interval(interval: tuple[float, float], unit: float, bounds: tuple[float, float]) -> str:
-    low, high = (float(np.clip(end * unit, *bounds)) for end in interval)
-    return f"[{low:.2f}, {high:.2f}]"
+def _interval(interval: tuple[float, float], unit: float) -> str:
+    low, high = (end * unit for end in interval)
+    return "(one run)" if math.isnan(low) else f"[{low:.2f}, {high:.2f}]"
 
 
 def _percent(interval: tuple[float, float]) -> str:
-    return f"[{interval[0]:.0%}, {interval[1]:.0%}]"
+    return f"[{interval[0]:.1%}, {interval[1]:.1%}]"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 from rich.console import Console
 
 from ..launch.launchers import spawn
@@ -24,10 +23,10 @@ def rescue_video(findings: Findings, console: Console) -> Path | None:
     best = _most_rescues(findings)
     if best is None:
         return None
-    run, k = best
+    run = best
     if not run.videos:
         console.print(f"rendering an episode of {run.label}", highlight=False, soft_wrap=True)
-        command = ["render", f"run={run.path}", "render.enabled=true", f"render.seed={k}"]
+        command = ["render", f"run={run.path}", "render.enabled=true"]
         spawn(
             [*command, f"trainer.evaluation.final_episodes={EPISODES}"], run.path / "render.txt"
         ).wait()
@@ -42,14 +41,12 @@ def rescue_video(findings: Findings, console: Console) -> Path | None:
     return run.videos[0]
 
 
-def _most_rescues(findings: Findings) -> tuple[Run, int] | None:
-    """A run and the place of a seed in its stack."""
+def _most_rescues(findings: Findings) -> Run | None:
     best, most = None, 0.0
     for finding in findings.values():
         for outcome in finding.outcomes:
             for run in outcome.runs if outcome.knows("rescues") and not outcome.acts_alone else ():
-                scenario = run.results[run.followed]
-                rescues = [scenario[str(seed)]["rescues"] for seed in run.seeds]
-                if run.config["env"].get("renderer") and max(rescues) > most:
-                    best, most = (run, int(np.argmax(rescues))), max(rescues)
+                rescues = run.results[run.followed]["summary"]["rescues"]
+                if run.config["env"].get("renderer") and rescues > most:
+                    best, most = run, rescues
     return best

@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -54,8 +55,10 @@ class MetricsLogger(ABC):
         """Flush and close."""
 
 
-class Guarded(MetricsLogger):
+class Guarded:
     """A logger whose failure is reported once and does not stop the run.
+
+    It has the methods of :class:`MetricsLogger`. One that was not started does nothing.
 
     Args:
         logger: The logger; not used any more after its first error.
@@ -63,47 +66,30 @@ class Guarded(MetricsLogger):
 
     def __init__(self, logger: MetricsLogger) -> None:
         self.logger = logger
-        self._state: str = "idle"
+        self._running, self._broken = False, False
+
+    def __getattr__(self, method: str) -> Callable[..., None]:
+        return partial(self._try, getattr(self.logger, method))
 
     def start(self, run_dir: Path, config: Mapping[str, Any], env_steps: int) -> None:
         """Open the sink."""
-        self._state = "running"
-        self._try("start", run_dir, config, env_steps)
-
-    def log(self, values: Values, env_steps: int) -> None:
-        """Record metrics."""
-        self._try("log", values, env_steps)
-
-    def log_file(self, name: str, path: Path, env_steps: int) -> None:
-        """Record a picture or a video."""
-        self._try("log_file", name, path, env_steps)
-
-    def log_table(self, name: str, columns: Sequence[str], rows: Rows, env_steps: int) -> None:
-        """Record a table."""
-        self._try("log_table", name, columns, rows, env_steps)
-
-    def flush(self) -> None:
-        """Put on disk what was logged."""
-        self._try("flush")
+        self._running, self._broken = True, False
+        self._try(self.logger.start, run_dir, config, env_steps)
 
     def finish(self) -> None:
         """Close a sink that was opened; one that is broken may fail silently."""
-        if self._state == "broken":
+        if self._broken:
             with contextlib.suppress(Exception):
                 self.logger.finish()
-        self._try("finish")
-        self._state = "idle"
+        self._try(self.logger.finish)
+        self._running = False
 
-    def _try(self, method: str, *arguments: Any) -> None:
-        if self._state != "running":
+    def _try(self, method: Callable[..., None], *arguments: Any) -> None:
+        if not self._running or self._broken:
             return
         try:
-            getattr(self.logger, method)(*arguments)
+            method(*arguments)
         except Exception as error:  # whatever a sink or its network can come up with
-            self._state = "broken"
-            _log.warning(
-                "%s failed (%s: %s); training goes on without it",
-                type(self.logger).__name__,
-                type(error).__name__,
-                error,
-            )
+            self._broken = True
+            name, kind = type(self.logger).__name__, type(error).__name__
+            _log.warning("%s failed (%s: %s); training goes on without it", name, kind, error)

@@ -19,9 +19,7 @@ __all__ = ["WandbLogger"]
 
 _log = logging.getLogger(__name__)
 
-IDENTITY = "wandb_id"
-IGNORED = ("WANDB_DIR", "WANDB_JOB_TYPE", "WANDB_NAME", "WANDB_PROJECT", "WANDB_RESUME")
-IGNORED += ("WANDB_RUN_GROUP", "WANDB_RUN_ID", "WANDB_TAGS")
+_IGNORED = ("DIR", "JOB_TYPE", "NAME", "PROJECT", "RUN_GROUP", "RUN_ID", "TAGS")
 """W&B's environment variables that the configuration stands above."""
 
 
@@ -63,16 +61,16 @@ class WandbLogger(MetricsLogger):
         """Start or continue the W&B run."""
         import wandb
 
-        identity = run_dir / IDENTITY
+        identity = run_dir / "wandb_id"
         if not identity.exists():
             write_atomically(identity, secrets.token_hex(4))
-        group, name = _names(run_dir)
+        group, name = self._names(run_dir)
         arguments: dict[str, Any] = {
             "project": self.project,
             "group": self.group or group,
             "job_type": self.job_type,
             "tags": self.tags,
-            "name": self._seeded(self.name, run_dir) if self.name else name,
+            "name": name,
             "id": identity.read_text(encoding="utf-8").strip(),
             "resume": "allow",
             "dir": str(run_dir),
@@ -122,7 +120,7 @@ class WandbLogger(MetricsLogger):
         """Finish the run."""
         self.run.finish()
 
-    def _mode(self) -> str:
+    def _mode(self) -> Any:
         """Choose W&B's mode, and say what its environment variables change or do not change."""
         mode = "online" if self.online else "offline"
         asked = os.environ.get("WANDB_MODE", "").lower()
@@ -135,22 +133,13 @@ class WandbLogger(MetricsLogger):
                 asked,
                 str(self.online).lower(),
             )
-        if ignored := [name for name in IGNORED if os.environ.get(name)]:
+        if ignored := [f"WANDB_{n}" for n in _IGNORED if os.environ.get(f"WANDB_{n}")]:
             _log.warning("W&B: %s not used: set logger.wandb instead", ", ".join(ignored))
         return asked or mode
 
-    @staticmethod
-    def _seeded(name: str, run_dir: Path) -> str:
-        return f"{name} {run_dir.name}" if _is_seed(run_dir) else name
-
-
-def _names(run_dir: Path) -> tuple[str, str]:
-    """Group and name of a run by its directory: ``<group>/seed-3``, or a run by itself."""
-    if not _is_seed(run_dir):
-        return run_dir.name, run_dir.name
-    group = run_dir.resolve().parent.name
-    return group, f"{group} {run_dir.name}"
-
-
-def _is_seed(run_dir: Path) -> bool:
-    return re.fullmatch(r"seed-\d+", run_dir.name) is not None
+    def _names(self, run_dir: Path) -> tuple[str, str]:
+        """Return group and name by the directory, ``<group>/seed-3`` or a run by itself."""
+        if re.fullmatch(r"seed-\d+", run_dir.name):
+            group = run_dir.resolve().parent.name
+            return group, f"{self.name or group} {run_dir.name}"
+        return run_dir.name, self.name or run_dir.name

@@ -51,14 +51,14 @@ def _draw(axis: Axes, group: Group, panel: Panel) -> None:
     steps, values = found.steps, found.values * panel.scale
     if band := found.band(group.followed_episodes if panel.counted else None, panel.bounds):
         low, high = (bound * panel.scale for bound in band)
-        look = {"color": RESIDUAL_COLOR, "alpha": 0.2, "linewidth": 0, "label": "95 % interval"}
-        axis.fill_between(steps, low, high, **look)
+        fill = axis.fill_between(steps, low, high, color=RESIDUAL_COLOR, alpha=0.2, linewidth=0)
+        fill.set_label("95 % interval")
     if len(values) > 1:
         axis.plot(steps, values.T, color=RESIDUAL_COLOR, linewidth=0.6, alpha=0.45)
     axis.plot(steps, values.mean(0), color=RESIDUAL_COLOR, linewidth=2, label="residual RL")
     if level := group.curve(panel.controller):
-        look = {"color": CONTROLLER_COLOR, "linestyle": "--", "label": "controller alone"}
-        axis.plot(level.steps, level.mean * panel.scale, linewidth=2, **look)
+        (line,) = axis.plot(level.steps, level.mean * panel.scale, "--", linewidth=2)
+        line.set(color=CONTROLLER_COLOR, label="controller alone")
     axis.set_ylabel(panel.title)
     axis.set_xlabel("environment steps")
     if panel.counted:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
+import mimetypes
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,15 +17,6 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 __all__ = ["Page"]
-
-MEDIA_TYPES = {
-    ".png": "image/png",
-    ".jpg": "image/jpeg",
-    ".gif": "image/gif",
-    ".svg": "image/svg+xml",
-    ".mp4": "video/mp4",
-    ".webm": "video/webm",
-}
 
 
 class Page:
@@ -138,10 +130,9 @@ def _text(text: str) -> str:
 
 
 def _data_uri(path: Path, kind: str) -> str:
-    media_type = MEDIA_TYPES.get(path.suffix.lower(), "")
+    media_type = mimetypes.guess_type(path.name)[0] or "unknown"
     if not media_type.startswith(kind):
-        endings = ", ".join(suffix for suffix, name in MEDIA_TYPES.items() if name.startswith(kind))
-        raise ValueError(f"{path}: expected a file that ends in one of {endings}")
+        raise ValueError(f"{path}: expected a file of type {kind}/*, got {media_type}")
     return f"data:{media_type};base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 

@@ -45,7 +45,7 @@ NOTE = (
     "Student's t of the return. Gain: paired on the same frozen episodes. Rescued and broken: "
     "episodes that only the residual or only the controller solves, mean of the runs."
 )
-OUTCOMES = {
+OUTCOMES: Mapping[tuple[bool, ...], str] = {
     (False, True): "rescued",
     (True, False): "broken",
     (True, True): "both",
@@ -154,7 +154,7 @@ def _episodes(episodes: Mapping[str, Sequence[Any]]) -> Iterator[list[Any]]:
         solved = [bool(episodes[k][i]) for k in ("controller_success", "success") if k in episodes]
         for key in entries:
             pair = float(episodes[f"controller_{key}"][i]), float(episodes[key][i])
-            yield [i, OUTCOMES.get(tuple(solved)), key, *pair]  # type: ignore[call-overload]
+            yield [i, OUTCOMES.get(tuple(solved)), key, *pair]
 
 
 def terminal_tables(results: Results, units: Mapping[str, str], title: str) -> Blocks:

@@ -1,18 +1,234 @@
 """Evaluation: frozen, paired, and the zero residual is the controller bit for bit."""
 
+import random
+from dataclasses import replace
 from functools import partial
 
+import numpy as np
 import pytest
 import torch
 from tensordict.nn import TensorDictModule
+from torchrl.data import Composite, Unbounded
 from torchrl.envs import TransformedEnv
 
 from rrl.controllers import ProportionalController
 from rrl.envs import InsertionEnv
-from rrl.trainers.environment import EnvironmentFactory, Input
-from rrl.trainers.evaluation.episodes import Comparison, run_episodes, zero_residual
+from rrl.trainers.environment import EnvironmentFactory, Input, Metric
+from rrl.trainers.evaluation.episodes import Comparison
+from rrl.trainers.evaluation.evaluator import Evaluator
+from rrl.trainers.evaluation.rollout import (
+    isolated_generators,
+    rollout,
+    run_episodes,
+    zero_residual,
+)
+from rrl.trainers.seeds import Stream
+from rrl.trainers.settings import EvaluationSettings
 from rrl.transforms import ControlNoise
 from toy_envs import PointMass
+
+
+class Reporting(PointMass):
+    """Reports its steps so far, and whether it is right of its goal; success as 0.0 or 1.0.
+
+    Args:
+        extra: More observation entries, by name, as they are.
+    """
+
+    def __init__(self, *args, extra=None, **kwargs):
+        self.__dict__["extra"] = extra or {}
+        super().__init__(*args, **kwargs)
+        batch = self.batch_size
+        spec = self.observation_spec
+        spec["success"] = Unbounded((*batch, 1))
+        spec["metrics"] = Composite(
+            clock=Unbounded((*batch, 1)),
+            right=Unbounded((*batch, 1), dtype=torch.bool),
+            shape=batch,
+        )
+        for name, value in self.extra.items():
+            spec[name] = Unbounded((*batch, *value.shape))
+        self.observation_spec = spec
+
+    def _observe(self):
+        out = super()._observe()
+        right = (self._position - self._goal)[..., :1] > 0
+        out |= {"success": out["success"].float()}
+        out |= {"metrics": {"clock": self._steps.float(), "right": right}}
+        return out | {k: v.expand(*self.batch_size, *v.shape) for k, v in self.extra.items()}
+
+
+ZERO = TensorDictModule(torch.zeros_like, in_keys=["base_action"], out_keys=["action"])
+"""The zero residual for any batch size."""
+
+
+def reporting(factory, batching="native", **arguments):
+    base = (
+        (lambda num_envs=1: Reporting([num_envs], **arguments))
+        if batching == "native"
+        else partial(Reporting, [], **arguments)
+    )
+    return replace(factory, base=base, batching=batching)
+
+
+@pytest.mark.parametrize("batching", ["native", "serial"])
+def test_metrics_are_reduced_as_declared(factory, batching):
+    values = {}
+    for how in ("min", "max", "sum", "last", "mean"):
+        declared = {"clock": Metric(unit="steps", reduce=how)}
+        made = replace(reporting(factory, batching), metrics=declared)
+        evaluator = Evaluator({"one": made}, EvaluationSettings())
+        compared = evaluator.compare(ZERO, "one", Stream.FINAL, 1)
+        evaluator.close()
+        values[how] = compared.residual.metrics["clock"].item()
+        assert 0 <= compared.residual.metrics["right"].item() <= 1  # undeclared: the mean
+    assert values == {"min": 1, "max": 20, "sum": 210, "last": 20, "mean": 10.5}
+
+
+def test_the_summary_holds_every_metric_with_its_tail(factory):
+    made = reporting(factory)
+    env = made.make(4)
+    found = run_episodes(env, zero_residual(env), 4, seed=0, max_steps=50)
+    assert found.success.dtype == bool
+    record = Comparison(found, found).record()
+    for prefix in ("", "controller_"):
+        assert record["summary"][f"{prefix}metrics/clock"] == 10.5
+        assert record["summary"][f"{prefix}metrics/clock_p99"] == 10.5
+        assert record["episodes"][f"{prefix}metrics/clock"] == [10.5] * 4
+    assert set(record["episodes"]) == {
+        *("success", "controller_success", "return", "controller_return"),
+        *("metrics/clock", "metrics/right", "controller_metrics/clock", "controller_metrics/right"),
+    }
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.uint8, torch.int64])
+def test_success_may_be_a_number(factory, dtype):
+    class Numbers(PointMass):
+        def __init__(self, *args, **kwargs):
+            super().__init__(*args, **kwargs)
+            self.observation_spec["success"] = Unbounded((*self.batch_size, 1), dtype=dtype)
+
+        def _observe(self):
+            out = super()._observe()
+            return {**out, "success": out["success"].to(dtype)}
+
+    env = replace(factory, base=lambda num_envs=1: Numbers([num_envs])).make(20)
+    assert env.rollout(2)["success"].dtype == torch.bool
+    plain = factory.make(20)
+    against = TensorDictModule(
+        lambda: torch.tensor([-0.6, 0.0]).expand(20, 2), in_keys=[], out_keys=["action"]
+    )
+    found, expected = (run_episodes(e, against, 20, seed=0, max_steps=50) for e in (env, plain))
+    assert (found.success == expected.success).all()
+    assert expected.success.any()
+
+
+@pytest.mark.parametrize(
+    ("extra", "message"),
+    [
+        ({"safety": torch.zeros(1)}, "safety: expected named entries"),
+        ({"reward_terms": torch.zeros(2)}, "reward_terms: expected named entries"),
+        (
+            {"diverged": torch.zeros(2)},
+            r"diverged: expected one number a slot .*got a tensor \[2\]",
+        ),
+    ],
+)
+def test_a_reserved_entry_of_another_kind_is_refused(factory, extra, message):
+    with pytest.raises(ValueError, match=f"environment: {message}"):
+        reporting(factory, extra=extra).make(2)
+
+
+def test_a_metric_of_several_numbers_or_an_unknown_one_is_refused(factory):
+    class Vector(Reporting):
+        def __init__(self, *args, **kwargs):
+            super().__init__(*args, **kwargs)
+            shape = (*self.batch_size, 3)
+            self.observation_spec["metrics", "force"] = Unbounded(shape)
+
+    made = replace(factory, base=lambda num_envs=1: Vector([num_envs]))
+    with pytest.raises(ValueError, match=r"metrics/force: expected one number.*a tensor \[3\]"):
+        made.make(2)
+    made = replace(reporting(factory), metrics={"clocks": Metric()})
+    with pytest.raises(ValueError, match=r"writes \['clock', 'right'\], got \['clocks'\]"):
+        made.make(1)
+
+
+class Global(PointMass):
+    """Draws its drift from the three global generators."""
+
+    def _step(self, tensordict):
+        drawn = np.random.rand() + random.random() + float(torch.rand(()))  # noqa: NPY002
+        self._drift[0] = 0.06 * drawn
+        return super()._step(tensordict)
+
+
+def test_global_generators_are_seeded_for_the_episodes_and_put_back(factory):
+    env = replace(factory, base=partial(Global, []), batching="serial").make(1)
+
+    def draw():
+        return random.random(), np.random.rand(), torch.rand(3).tolist()  # noqa: NPY002
+
+    with isolated_generators(1):
+        expected = draw()
+    with isolated_generators(1):
+        first = run_episodes(env, zero_residual(env), 3, seed=7, max_steps=50)
+        assert draw() == expected
+    random.seed(5)  # whatever happens outside
+    second = run_episodes(env, zero_residual(env), 3, seed=7, max_steps=50)
+    assert (first.returns == second.returns).all()
+    with pytest.raises(KeyError), isolated_generators(1):
+        raise KeyError
+    with isolated_generators(1):
+        assert draw() == expected
+
+
+class Counting(PointMass):
+    """Counts the steps of all slots."""
+
+    steps = 0
+
+    def _step(self, tensordict):
+        Counting.steps += self.batch_size.numel()
+        return super()._step(tensordict)
+
+
+@pytest.mark.parametrize(("slots", "episodes"), [(100, 10), (4, 8), (4, 10), (7, 7)])
+def test_only_the_episodes_that_count_are_played(factory, slots, episodes):
+    made = replace(factory, base=lambda num_envs=1: Counting([num_envs]))
+    evaluator = Evaluator({"one": made}, EvaluationSettings(slots=slots))
+    env = made.make(1)
+    Counting.steps = 0
+    first = evaluator.compare(ZERO, "one", Stream.FINAL, episodes)
+    batches = -(-episodes // slots)
+    assert episodes * 20 <= Counting.steps / 2 < (episodes + batches) * 20
+    again = evaluator.compare(ZERO, "one", Stream.FINAL, episodes)
+    assert again.controller is first.controller  # played once
+    expected = run_episodes(
+        env, zero_residual(env), episodes, evaluator.first_seed(Stream.FINAL), max_steps=50
+    )
+    assert (first.residual.returns == expected.returns).all()
+    evaluator.close()
+
+
+def test_followed_and_final_episodes_are_others(factory):
+    evaluator = Evaluator({"one": factory}, EvaluationSettings())
+    returns = [
+        evaluator.compare(ZERO, "one", stream, 5).residual.returns
+        for stream in (Stream.FOLLOWING, Stream.FINAL)
+    ]
+    assert not set(returns[0]) & set(returns[1])
+    evaluator.close()
+
+
+def test_a_rollout_gives_the_reset_and_every_step(factory):
+    env = factory.make(2)
+    steps = list(rollout(env, zero_residual(env), seed=3, max_steps=50, episodes=1))
+    assert len(steps) == 21
+    assert "reward" not in steps[0][0].keys()
+    assert all(running.tolist() == [True, False] for _, running in steps)
+    assert steps[-1][0]["done"].all()
+    assert (steps[1][0]["action"] == 0).all()
 
 
 @pytest.mark.parametrize("slots", [1, 4, 10])
@@ -83,8 +299,8 @@ def test_zero_residual_is_the_controller_bit_for_bit(variant, noise):
     alone = run_episodes(plain, controller(out_key="action"), 3, seed=5, max_steps=50)
     assert (residual.returns == alone.returns).all()
     assert (residual.success == alone.success).all()
-    for name, peak in residual.peaks.items():
-        assert (peak == alone.peaks[name]).all()
+    for name, values in residual.metrics.items():
+        assert (values == alone.metrics[name]).all()
 
 
 def test_an_unknown_input_names_the_choices(factory):

@@ -2,14 +2,15 @@
 
 import numpy as np
 import pytest
-from scipy import stats
 
+from benchmarks import coverage
 from rrl.trainers.evaluation.statistics import (
-    exact_interval,
     iqm,
     iqm_interval,
     mcnemar,
     mean_interval,
+    paired_interval,
+    success_interval,
     wilson,
 )
 
@@ -26,8 +27,11 @@ def test_mean_interval_covers_the_mean_as_often_as_it_says():
     assert np.mean([low < 3.0 < high for low, high in intervals]) == pytest.approx(0.95, abs=0.02)
 
 
-def test_mean_interval_of_one_value_is_that_value():
-    assert mean_interval([0.5]) == (0.5, 0.5)
+def test_one_run_says_nothing_about_others():
+    assert np.isnan(mean_interval([0.5])).all()
+    assert np.isnan(iqm_interval([0.5])).all()
+    assert np.isnan(iqm_interval([0.5, 0.6], [0.5])).all()
+    assert success_interval([15], 20) == wilson(15, 20)
 
 
 def test_mcnemar_is_the_sign_test_of_changed_episodes():
@@ -36,19 +40,82 @@ def test_mcnemar_is_the_sign_test_of_changed_episodes():
     assert mcnemar(10, 0) == pytest.approx(2 / 2**10)
 
 
-def test_exact_interval_of_the_papers_table():
-    # 15 of 20: Clopper and Pearson's limits as in published tables
-    assert exact_interval(15, 20) == (
-        pytest.approx(0.5090, abs=1e-4),
-        pytest.approx(0.9134, abs=1e-4),
-    )
-    assert exact_interval(20, 20)[1] == 1.0
+def test_a_success_rate_never_has_an_interval_of_zero_width():
+    for runs in (1, 2, 3, 10):
+        low, high = success_interval([100] * runs, 100)
+        assert low < 0.999
+        assert high == 1.0
+        low, high = success_interval([0] * runs, 100)
+        assert low == 0.0
+        assert high > 0.001
+        low, high = success_interval([50] * runs, 100)
+        assert 0.3 < low < 0.49
+        assert 0.51 < high < 0.7
 
 
-def test_exact_interval_covers_at_least_as_often_as_it_says():
-    probabilities = stats.binom.pmf(range(21), 20, 0.75)
-    covered = [low <= 0.75 <= high for low, high in (exact_interval(n, 20) for n in range(21))]
-    assert probabilities @ covered >= 0.95
+def test_success_and_failure_are_alike():
+    low, high = success_interval([90, 95, 99], 100)
+    mirrored = success_interval([10, 5, 1], 100)
+    assert (1 - high, 1 - low) == pytest.approx(mirrored, abs=1e-6)
+
+
+def test_more_runs_narrow_the_interval_and_spread_widens_it():
+    def width(*counts):
+        low, high = success_interval(counts, 100)
+        return high - low
+
+    assert width(*[90] * 10) < width(*[90] * 5) < width(*[90] * 3)
+    assert width(90, 90, 90, 90, 90) < width(80, 85, 90, 95, 100)
+
+
+def test_many_alike_runs_are_about_as_good_as_their_episodes_together():
+    low, high = success_interval([70] * 50, 100)
+    pooled = wilson(3500, 5000)
+    assert low == pytest.approx(pooled[0], abs=0.004)
+    assert high == pytest.approx(pooled[1], abs=0.004)
+
+
+def test_counts_that_cannot_be_are_refused():
+    for counts in ([], [101], [-1]):
+        with pytest.raises(ValueError, match="expected counts from 0 to 100"):
+            success_interval(counts, 100)
+
+
+# Coverage of 95 % is not to be had everywhere: benchmarks/coverage.py prints the whole table. Few
+# runs that are alike are covered too often, because nobody can know that they are.
+@pytest.mark.parametrize(
+    ("mean", "spread", "runs", "low", "high"),
+    [
+        (0.5, 0.1, 5, 0.90, 0.98),
+        (0.7, 0.05, 10, 0.92, 0.98),
+        (0.9, 0.02, 10, 0.93, 0.99),
+        (0.9, 0.1, 3, 0.90, 0.98),
+        (0.95, 0.05, 5, 0.90, 0.97),
+        (0.99, 0.02, 3, 0.90, 0.99),
+        (0.99, 0.0, 10, 0.93, 1.0),
+    ],
+)
+def test_success_interval_covers_about_as_often_as_it_says(mean, spread, runs, low, high):
+    covered, _ = coverage.success_coverage(mean, spread, runs, studies=400)
+    assert low <= covered <= high
+
+
+@pytest.mark.parametrize("runs", [1, 3])
+def test_paired_interval_covers_at_least_about_as_often_as_it_says(runs):
+    covered, width = coverage.paired_coverage(0.5, 0.9, 0.0, runs, studies=400)
+    assert covered >= 0.92
+    assert width < 0.25
+
+
+def test_paired_interval_is_bonetts_and_prices_for_one_run():
+    # 12 rescued, 2 broken of 100: (12 + 1 - 2 - 1) / 102 and its standard error, by hand
+    differences = np.repeat([1.0, -1.0, 0.0], [12, 2, 86])
+    low, high = paired_interval(differences, bound=1.0)
+    assert (low + high) / 2 == pytest.approx(10 / 102)
+    error = np.sqrt((16 / 102 - (10 / 102) ** 2) / 102)
+    assert high - low == pytest.approx(2 * 1.98 * error, rel=0.02)
+    low, high = paired_interval(np.zeros((3, 50)), bound=1.0)
+    assert low < 0 < high
 
 
 def test_interquartile_mean_ignores_the_outer_quarters():
@@ -69,7 +136,3 @@ def test_strata_that_differ_do_not_widen_the_bootstrap():
     assert high - low < 0.3
     low, high = iqm_interval(np.concatenate(tasks))  # resampled as if they were one task
     assert high - low > 2.0
-
-
-def test_bootstrap_of_one_seed_is_its_value():
-    assert iqm_interval([0.5]) == (0.5, 0.5)

@@ -10,7 +10,8 @@ from imageio_ffmpeg import count_frames_and_secs
 from rrl.controllers import ProportionalController
 from rrl.envs import InsertionEnv, RenderingUnavailable, render_states
 from rrl.trainers.environment import EnvironmentFactory, Input
-from rrl.trainers.evaluation.episodes import Comparison, Episodes, run_episodes, zero_residual
+from rrl.trainers.evaluation.episodes import Comparison, Episodes
+from rrl.trainers.evaluation.rollout import run_episodes, zero_residual
 from rrl.trainers.evaluation.video import choose_episode, record, render_comparison
 
 SIZE = {"width": 64, "height": 48, "fps": 20}

@@ -59,7 +59,7 @@ def test_a_row_of_the_wrong_length_is_refused():
     ("method", "ending"), [("image", ".mp4"), ("video", ".png"), ("image", ".exe")]
 )
 def test_a_file_of_the_wrong_kind_is_refused(method, ending, tmp_path):
-    with pytest.raises(ValueError, match="expected a file that ends in one of"):
+    with pytest.raises(ValueError, match=f"expected a file of type {method}/"):
         getattr(Page("Plain"), method)(tmp_path / f"file{ending}")
 
 

@@ -1,6 +1,8 @@
 """The report: what runs logged, on one page that opens anywhere."""
 
 import json
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -9,12 +11,13 @@ import yaml
 
 from browser import needs_chromium, opened
 from rrl.trainers.cli.main import main
-from rrl.trainers.evaluation.episodes import Comparison, Episodes
+from rrl.trainers.evaluation.episodes import Comparison, Episodes, write_results
+from rrl.trainers.evaluation.statistics import success_interval
 from rrl.trainers.loggers import CSVLogger
 from rrl.trainers.report.curves import curve
+from rrl.trainers.report.learning_curve import learning_curve
 from rrl.trainers.report.report import write_report
-from rrl.trainers.report.runs import find_runs
-from rrl.trainers.report.summary import write_results
+from rrl.trainers.report.runs import find_runs, group_runs
 from rrl.trainers.storage.versions import write_versions
 
 EPISODES = 20
@@ -22,74 +25,69 @@ STEPS = range(0, 1001, 50)
 
 
 def episodes(solved, force):
-    peaks = {"contact_force": np.full(EPISODES, force), "tilt": np.full(EPISODES, 0.1)}
+    metrics = {"contact_force": np.full(EPISODES, force), "tilt": np.full(EPISODES, 0.1)}
     success = np.arange(EPISODES) < solved
     return Episodes(
-        success - 5.0, np.full(EPISODES, 50), success, np.zeros(EPISODES, dtype=bool), peaks
+        success - 5.0, np.full(EPISODES, 50), success, np.zeros(EPISODES, dtype=bool), metrics
     )
 
 
-def make_run(folder, arm="residual", seeds=(0, 1, 2), finished=True, **changes):
+def make_run(folder, arm="residual", seed=0, finished=True, **changes):
     folder.mkdir(parents=True)
+    env = {"name": "insertion", "scenarios": {"misaligned": {}, "aligned": {}}}
     config = {
         "name": f"insertion-{arm}",
         "arm": arm,
-        "env": {"name": "insertion", "scenarios": {"misaligned": {}, "aligned": {}}},
+        "env": {**env, "metrics": {"contact_force": {"unit": "N", "reduce": "max"}}},
         "controller": {"_target_": "rrl.controllers.ZeroController"},
         "disturbance": {"control_noise": None},
         "algorithm": {"agent": {"_target_": "rrl.algorithms.TD3", "tau": 0.01} | changes},
-        "trainer": {"seed": seeds[0], "num_seeds": len(seeds), "total_steps": 1000},
+        "trainer": {"seed": seed, "total_steps": 1000, "evaluation": {"episodes": EPISODES}},
     }
     (folder / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
     logger = CSVLogger()
-    logger.start(folder, config, seeds, 0)
+    logger.start(folder, config, 0)
     for step in STEPS:
-        comparisons = [
-            Comparison(episodes(step // 60 + k, 30.0 + k), episodes(4, 20.0))
-            for k in range(len(seeds))
-        ]
-        rows = [c.summary() for c in comparisons]
-        logger.log(
-            {f"eval/misaligned/{name}": [row[name] for row in rows] for name in rows[0]}, step
-        )
-        logger.log(
-            {
-                "loss/loss_critic": [1.0 / (1 + step)] * len(seeds),
-                "safety/step": [0.1] * len(seeds),
-            },
-            step,
-        )
-        logger.log(
-            {"action/residual_share": [0.4] * len(seeds), "time/update": [2.0] * len(seeds)}, step
-        )
+        comparison = Comparison(episodes(step // 60 + seed, 30.0 + seed), episodes(4, 20.0))
+        logger.log({f"eval/misaligned/{k}": v for k, v in comparison.summary().items()}, step)
+        logger.log({"loss/loss_critic": 1.0 / (1 + step), "safety/step": 0.1}, step)
+        logger.log({"action/residual_share": 0.4, "time/update": 2.0}, step)
     logger.finish()
     if finished:
-        write_results({"misaligned": comparisons, "aligned": comparisons}, list(seeds), folder)
+        write_results({"misaligned": comparison, "aligned": comparison}, folder / "results.json")
         write_versions(folder)
     return folder
 
 
+def make_group(folder, **arguments):
+    return [make_run(folder / f"seed-{seed}", seed=seed, **arguments) for seed in (0, 1, 2)]
+
+
 @pytest.fixture
 def runs(tmp_path):
-    return [make_run(tmp_path / "outputs" / arm / "now", arm=arm) for arm in ("residual", "rl")]
+    folders = {arm: tmp_path / "outputs" / arm / "now" for arm in ("residual", "rl")}
+    return [run for arm, folder in folders.items() for run in make_group(folder, arm=arm)]
 
 
-def test_a_page_of_one_run_is_quick_and_holds_it_all(runs):
+def test_a_page_of_one_group_is_quick_and_holds_it_all(runs):
     start = time.perf_counter()
-    source = write_report(find_runs(runs[:1]), runs[0] / "report.html").read_text()
+    source = write_report(find_runs(runs[:3]), runs[0] / "report.html").read_text()
     assert time.perf_counter() - start < 5.0  # 0.3 s on an idle machine
     for heading in (
         "Final evaluation",
         "Learning",
         "Rescues",
-        "Contact",
+        "Quantities",
         "Losses",
         "Safety limits",
         "Time",
         "Versions",
     ):
         assert f">{heading}" in source
-    assert "85.0% [72.6%, 97.4%]" in source  # 16, 17 and 18 of 20 are solved
+    low, high = success_interval([16, 17, 18], EPISODES)
+    assert f"85.0 [{np.floor(1000 * low) / 10}, {np.ceil(1000 * high) / 10}] %" in source
+    assert "contact force, mean [N]" in source
+    assert "20.00 → 31.00" in source
     assert json.loads((runs[0] / "versions.json").read_text())["torchrl"] in source
 
 
@@ -102,7 +100,7 @@ def test_runs_are_compared_and_switched_in_a_browser(runs, tmp_path):
             row.split("\t") for row in tab.locator("table").nth(1).locator("tr").all_inner_texts()
         ]
         assert rows[1][:2] == ["misaligned", "insertion-residual"]
-        assert rows[1][-2:] == ["13.0", "0.0"]
+        assert rows[1][-3:] == ["13", "0", "80, 85, 90"]
         assert rows[2][:3] == ["misaligned", "insertion-rl", ""]  # no controller to compare with
         differing = tab.locator("#section-8 ~ .wide table").first.inner_text()
         assert "insertion-rl" in differing
@@ -136,12 +134,59 @@ def test_the_command_takes_runs_or_a_folder_of_runs(runs, tmp_path, capsys, monk
     assert "expected directories of runs" in capsys.readouterr().err
 
 
+def test_runs_that_differ_by_the_seed_alone_are_a_group(runs, tmp_path):
+    other = make_run(tmp_path / "other", tau=0.02)
+    again = make_run(tmp_path / "again")  # the same seed tells nothing new
+    groups = group_runs(find_runs([*runs, other, again]))
+    assert [[run.seed for run in group.runs] for group in groups] == [
+        *([0, 1, 2], [0, 1, 2], [0], [0]),
+    ]
+    found = groups[0].curve("eval/{followed}/success")
+    assert found.seeds == (0, 1, 2)
+    assert found.values[:, -1].tolist() == [0.8, 0.85, 0.9]
+    (alone,) = group_runs(find_runs([other]))
+    assert alone.curve("eval/{followed}/return").band() is None
+    low, high = alone.curve("eval/{followed}/success").band(EPISODES)
+    assert (low < high).all()
+
+
+def test_a_learning_curve_of_a_group_or_of_nothing(runs, tmp_path):
+    (group,) = group_runs(find_runs(runs[:3]))
+    out = learning_curve(group, tmp_path / "curve.png")
+    assert out.stat().st_size > 10_000
+    assert out.with_suffix(".svg").exists()
+    (runs[0] / "metrics.csv").unlink()
+    (group,) = group_runs(find_runs(runs[:1]))
+    assert learning_curve(group, tmp_path / "none.png") is None
+
+
+def test_a_torn_file_is_named_and_the_rest_is_shown(runs, tmp_path, caplog):
+    (runs[0] / "results.json").write_text('{"misaligned": {"summ')
+    (runs[1] / "config.yaml").write_text("trainer: {seed: [")
+    (runs[2] / "metrics.csv").write_bytes(b"\xff\x00\x00")
+    source = write_report(find_runs([tmp_path / "outputs"]), tmp_path / "page.html").read_text()
+    for path in (runs[0] / "results.json", runs[1] / "config.yaml"):
+        assert str(path) in caplog.text
+    assert "insertion-residual" in source
+    assert "seed-1" not in source.split("insertion-rl")[0]
+    with pytest.raises(FileNotFoundError, match="expected the directory of a run"):
+        find_runs([runs[1]])
+
+
+def test_runs_are_read_without_torch(runs):
+    program = "import sys; from rrl.trainers.report import report, runs; "
+    program += "from pathlib import Path; print(runs.find_runs([Path(sys.argv[1])])[0].env_steps); "
+    program += "assert 'torch' not in sys.modules"
+    command = [sys.executable, "-c", program, str(runs[0])]
+    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "1000\n"
+
+
 def test_a_run_that_is_not_finished_is_shown_as_far_as_it_is(tmp_path):
     run = make_run(tmp_path / "run", finished=False)
     source = write_report(find_runs([run]), tmp_path / "page.html").read_text()
     assert "has no final evaluation yet" in source
     with (run / "metrics.csv").open("a") as file:
-        file.write("1050,0,loss/loss_cr")  # the moment that it is read in
+        file.write("1050,loss/loss_cr")  # the moment that it is read in
     write_report(find_runs([run]), tmp_path / "page.html")
     (run / "metrics.csv").unlink()
     assert "0 of 1000" in write_report(find_runs([run]), tmp_path / "page.html").read_text()
@@ -155,6 +200,7 @@ def test_runs_of_one_name_are_told_apart_by_their_directories(tmp_path):
 def test_a_curve_is_thinned_by_averages_and_keeps_its_end():
     points = {seed: [(t, float(t + seed)) for t in range(0, 100, 10)] for seed in (0, 1)}
     thin = curve(points).thinned(4)
+    assert curve(points).thinned(100).steps.tolist() == list(range(0, 100, 10))
     assert thin.steps.tolist() == [20, 50, 80, 90]
     assert thin.values[0].tolist() == [10, 40, 70, 90]
     low, high = thin.band()

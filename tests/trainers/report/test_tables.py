@@ -1,0 +1,83 @@
+"""The tables: right numbers in the right cells, with their intervals."""
+
+import json
+
+import numpy as np
+import pytest
+
+from rrl.trainers.evaluation.episodes import Comparison, Episodes, write_results
+from rrl.trainers.report.tables import (
+    EPISODE_COLUMNS,
+    episode_rows,
+    markdown_tables,
+    one_run,
+    quantity_rows,
+    success_rows,
+    with_interval,
+)
+
+
+def episodes(successes, n=20, returns=-1.0, force=0.0):
+    solved = None if successes is None else np.arange(n) < successes
+    metrics = {"contact_force": np.arange(n) + force}
+    return Episodes(np.full(n, returns), np.full(n, 5), solved, np.zeros(n, dtype=bool), metrics)
+
+
+def test_cells_hold_rates_intervals_and_changes():
+    comparisons = [Comparison(episodes(k), episodes(2)) for k in (15, 19)]
+    (row,) = success_rows({"misaligned": [c.record() for c in comparisons]})
+    assert row[:2] == ["misaligned", "10.0 [2.7, 30.2] %"]
+    assert row[2].startswith("85.0 [")
+    assert row[3].startswith("+75.0 [+")
+    assert row[4:] == ["15", "0"]
+
+
+def test_one_run_has_wilsons_interval_and_never_one_of_zero_width():
+    (row,) = success_rows(one_run({"aligned": Comparison(episodes(20), episodes(20))}))
+    assert row[1] == row[2] == "100.0 [83.8, 100.0] %"
+    assert row[3].startswith("+0.0 [-")
+
+
+def test_returns_stand_in_where_there_is_no_success():
+    compared = Comparison(episodes(None, returns=-1.5), episodes(None, returns=-4.0))
+    (row,) = success_rows(one_run({"own": compared}))
+    assert row[1:3] == ["-4.00", "-1.50 (one run)"]
+    assert row[3].startswith("+2.50")
+
+
+@pytest.mark.parametrize(
+    ("interval", "text"),
+    [
+        ((0.99961, 1.0), "100.0 [99.9, 100.0] %"),
+        ((0.99, 0.99), "100.0 [99.0, 99.0] %"),
+        ((0.0, 0.0004), "100.0 [0.0, 0.1] %"),
+    ],
+)
+def test_bounds_are_rounded_outwards(interval, text):
+    assert with_interval(1.0, interval, 100.0) == text
+
+
+def test_every_reported_quantity_has_mean_and_tail_with_its_unit():
+    results = one_run({"one": Comparison(episodes(9, force=5.0), episodes(4))})
+    header, rows = quantity_rows(results, {"contact_force": "N"})
+    cells = dict(zip(header, rows[0], strict=True))
+    assert cells["contact force, mean [N]"] == "9.50 → 14.50"
+    assert cells["contact force, 99th percentile [N]"] == "18.81 → 23.81"
+    assert cells["return"] == "-1.00 → -1.00"
+    assert "contact force, mean [N]" in markdown_tables(results, {"contact_force": "N"})
+
+
+def test_every_episode_has_its_outcome():
+    rows = episode_rows(one_run({"one": Comparison(episodes(9), episodes(4))}))
+    found = [dict(zip(EPISODE_COLUMNS, row, strict=True)) for row in rows]
+    assert [r["outcome"] for r in found if r["entry"] == "return"][3:5] == ["both", "rescued"]
+    assert {r["entry"] for r in found} == {"return", "success", "metrics/contact_force"}
+
+
+def test_written_results_hold_summary_and_every_episode(tmp_path):
+    write_results({"misaligned": Comparison(episodes(15), episodes(2))}, tmp_path / "results.json")
+    content = json.loads((tmp_path / "results.json").read_text())["misaligned"]
+    assert content["summary"]["rescues"] == 13
+    assert sum(content["episodes"]["success"]) == 15
+    assert sum(content["episodes"]["controller_success"]) == 2
+    assert len(content["episodes"]["controller_metrics/contact_force"]) == 20
