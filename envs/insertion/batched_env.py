@@ -100,6 +100,9 @@ class InsertionEnv(EnvBase):
 
         Returns:
             The size of each observation entry.
+
+        Raises:
+            ValueError: If the constructor would raise it.
         """
         _check_count("num_envs", num_envs, 1)
         _check_count("num_threads", 1 if num_threads is None else num_threads, 1)

@@ -38,7 +38,6 @@ class InsertionTask(composer.Task):
         self.config = config
         self.num_diverged = 0
         self._arena = build_scene(config)
-        self._start: StartState | None = None
         self._trace: list[np.ndarray] = []
         self._sensors = np.zeros(0)
         self._start_time = np.zeros(1)
@@ -63,31 +62,21 @@ class InsertionTask(composer.Task):
         """What the batched environment writes, nested names as ``group/name``."""
         return self._observables
 
-    @property
-    def start(self) -> StartState:
-        """The nominal start of an episode."""
-        if self._start is None:
-            raise RuntimeError(
-                "start: expected a compiled model; make a composer.Environment first"
-            )
-        return self._start
-
     def action_spec(self, physics: Any) -> specs.BoundedArray:
         """Return the spec of the normalized displacement (x, y, z) in [-1, 1]."""
         return specs.BoundedArray((3,), np.float64, -1.0, 1.0, name="x\ty\tz")
 
     def after_compile(self, physics: Any, random_state: np.random.RandomState) -> None:
         """Find the start state for the compiled model."""
-        if self._start is None:
-            self._start = StartState(physics.model.ptr, self.config)
+        self._start = StartState(physics.model.ptr, self.config)
         self.initialize_episode(physics, np.random.RandomState(0))
 
     def initialize_episode(self, physics: Any, random_state: np.random.RandomState) -> None:
         """Draw an episode and put the physics at its start."""
         model, data = physics.model.ptr, physics.data.ptr
         episode = draw_episode(self.config, random_state)
-        self.start.set_yaw(model, episode.yaw)
-        self.start.hold(model, data, self.start.qpos(model, episode))
+        self._start.set_yaw(model, episode.yaw)
+        self._start.hold(model, data, self._start.qpos(model, episode))
         self._trace = [data.sensordata.copy()]
         self._evaluate()
 
@@ -100,8 +89,8 @@ class InsertionTask(composer.Task):
             ValueError: If the action is not of shape [3], or not finite.
         """
         action = check_action(np.asarray(action, dtype=np.float64)[None], 1)
-        signals = self.start.layout.views(self._sensors[None])
-        physics.data.ctrl[:] = set_points(signals, action, self.config, self.start.home)[0]
+        signals = self._start.layout.views(self._sensors[None])
+        physics.data.ctrl[:] = set_points(signals, action, self.config, self._start.home)[0]
         # The batched environment starts every control step without warm start.
         physics.data.qacc_warmstart[:] = 0
         self._trace = []
@@ -125,8 +114,8 @@ class InsertionTask(composer.Task):
     def _evaluate(self) -> None:
         trace = np.array(self._trace)
         self._sensors = trace[-1]
-        signals = self.start.layout.views(trace[None])
-        self._outputs = quantities.evaluate(signals, self.start.tare, self.config)
+        signals = self._start.layout.views(trace[None])
+        self._outputs = quantities.evaluate(signals, self._start.tare, self.config)
         self._outputs[DIVERGED] = np.array([[False]])
 
     def get_reward(self, physics: Any) -> float:

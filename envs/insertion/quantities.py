@@ -60,12 +60,7 @@ class RewardTerm(NamedTuple):
 
 
 def measure(signals: Signals, tare: np.ndarray) -> Measurement:
-    """Return the measurement at the end of a control step.
-
-    Args:
-        signals: Signals of every substep, [B, substeps, *shape].
-        tare: Wrist reading of the unloaded tool at rest, [6] [N] and [N m].
-    """
+    """Return the measurement at the end of a control step; arguments as in :func:`evaluate`."""
     upward = signals["block_z_axis"][:, -1]  # (B, 2, 3)
     along = signals["block_y_axis"][:, -1]  # (B, 2, 3)
     yaw = np.arctan2(-along[..., 0], along[..., 1])

@@ -6,6 +6,8 @@ from typing import Any
 
 from dm_control import composer
 
+from ..config import InsertionConfig
+
 __all__ = ["CAMERAS", "PlatformArena"]
 
 TABLE_HEIGHT = 0.75
@@ -16,26 +18,10 @@ CAMERAS = ("overview", "closeup", "front")
 class PlatformArena(composer.Arena):
     """A table in front of the robot with a raised platform whose surface is the plane z = 0."""
 
-    def _build(
-        self,
-        goal_xy: tuple[float, float],
-        friction: float,
-        timestep: float,
-        base_height: float = 0.0,
-        name: str = "insertion",
-    ) -> None:
-        """Build the arena.
-
-        Args:
-            goal_xy: Middle of the platform [m].
-            friction: Sliding friction of the platform.
-            timestep: Physics timestep [s].
-            base_height: Height of the robot's mounting plane [m]; below it stands the pedestal.
-            name: Name of the MJCF model.
-        """
+    def _build(self, config: InsertionConfig, name: str = "insertion") -> None:
         super()._build(name)
         self._mjcf_root.option.set_attributes(
-            timestep=timestep, integrator="implicitfast", cone="elliptic",
+            timestep=config.physics_timestep, integrator="implicitfast", cone="elliptic",
             iterations=10, ls_iterations=20, noslip_iterations=0,
         )  # fmt: skip
         self._mjcf_root.option.flag.multiccd = "enable"
@@ -43,10 +29,10 @@ class PlatformArena(composer.Arena):
         # What the blocks touch is an unseen plane: box on plane is exact and cheap.
         self._mjcf_root.worldbody.add(
             "geom", name="surface", type="plane", size=(1, 1, 0.1), group=4,
-            friction=(friction, 0.005, 0.0001),
+            friction=(config.platform_friction, 0.005, 0.0001),
         )  # fmt: skip
-        self._add_furniture(*goal_xy, base_height)
-        self._add_cameras(*goal_xy)
+        self._add_furniture(*config.goal_xy, config.base_height)
+        self._add_cameras(*config.goal_xy)
 
     def _add_look(self) -> None:
         root = self._mjcf_root

@@ -99,7 +99,21 @@ class Sawyer(composer.Entity):
         self.links: list[Any] = []
         body = base
         for index, link in enumerate(LINKS):
-            body = self._add_link(body, index, link)
+            body = body.add(
+                "body", name=f"right_l{index}", pos=link.position, quat=link.quaternion, gravcomp=1
+            )
+            body.add(
+                "inertial", pos=link.center_of_mass, mass=link.mass,
+                quat=link.inertia_quaternion, diaginertia=link.inertia,
+            )  # fmt: skip
+            joint = body.add(
+                "joint", name=f"right_j{index}", type="hinge", axis=(0, 0, 1),
+                range=link.range, limited=True,
+                damping=JOINT_DAMPING[index], armature=JOINT_ARMATURE[index],
+                actuatorfrcrange=(-link.max_torque, link.max_torque), actuatorgravcomp=True,
+            )  # fmt: skip
+            self.joints.append(joint)
+            self.links.append(body)
         hand = body.add("body", name="hand", pos=HAND_POSITION, quat=HAND_QUATERNION, gravcomp=1)
         hand.add("inertial", pos=(0, 0, 0), mass=1e-6, diaginertia=(1e-8, 1e-8, 1e-8))
         # Turned by pi about y, so that it is aligned with the world in the posture TOOL_DOWN.
@@ -108,24 +122,6 @@ class Sawyer(composer.Entity):
         )
         self.hand_site = hand.add("site", name="mount", size=(0.002,), rgba=(0, 0, 0, 0))
         dress_arm(base, self.links)
-
-    def _add_link(self, parent: Any, index: int, link: Link) -> Any:
-        body = parent.add(
-            "body", name=f"right_l{index}", pos=link.position, quat=link.quaternion, gravcomp=1
-        )
-        body.add(
-            "inertial", pos=link.center_of_mass, mass=link.mass,
-            quat=link.inertia_quaternion, diaginertia=link.inertia,
-        )  # fmt: skip
-        joint = body.add(
-            "joint", name=f"right_j{index}", type="hinge", axis=(0, 0, 1),
-            range=link.range, limited=True,
-            damping=JOINT_DAMPING[index], armature=JOINT_ARMATURE[index],
-            actuatorfrcrange=(-link.max_torque, link.max_torque), actuatorgravcomp=True,
-        )  # fmt: skip
-        self.joints.append(joint)
-        self.links.append(body)
-        return body
 
     @property
     def mjcf_model(self) -> Any:

@@ -25,12 +25,7 @@ HELD_COLOR = (0.95, 0.66, 0.13, 1.0)
 
 def build_scene(config: InsertionConfig) -> PlatformArena:
     """Return the arena with the task's entities, actuators and sensors."""
-    arena = PlatformArena(
-        goal_xy=config.goal_xy,
-        friction=config.platform_friction,
-        timestep=config.physics_timestep,
-        base_height=config.base_height,
-    )
+    arena = PlatformArena(config)
     arm = Sawyer()
     arena.attach(arm).pos = (0.0, 0.0, config.base_height)
     gripper = ParallelGripper(opening=2 * config.held_half_size[0])

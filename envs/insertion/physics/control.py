@@ -20,6 +20,7 @@ IK_DAMPING = 1e-7 * np.eye(6)
 """d I, in units of Cartesian compliance (about 1e-3 m/N in translation), against singularities."""
 MAX_ROTATION_ERROR = 0.2
 """Largest orientation error that the inverse kinematics looks at, rad."""
+_NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
 def set_points(
@@ -102,7 +103,3 @@ def check_action(action: np.ndarray, num_envs: int) -> np.ndarray:
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the cross product over the last axis; np.cross is much slower on small arrays."""
     return a[..., _NEXT] * b[..., _AFTER] - a[..., _AFTER] * b[..., _NEXT]
-
-
-_NEXT = np.array([1, 2, 0])
-_AFTER = np.array([2, 0, 1])

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -21,8 +21,7 @@ BLOCK_BODIES = ("left_block/", "right_block/")
 Random = np.random.Generator | np.random.RandomState
 
 
-@dataclasses.dataclass(frozen=True)
-class Episode:
+class Episode(NamedTuple):
     """The random part of a reset."""
 
     yaw: np.ndarray

@@ -16,7 +16,7 @@ from rrl.envs.insertion import quantities as q
 def signals(
     tilt: float = 0.0, yaw: float = 0.0, tool: tuple = (0.6, 0.0, 0.05), substeps: int = 4
 ) -> dict[str, np.ndarray]:
-    """A trace of one environment, both blocks turned by yaw, then toppled about their own y axis."""
+    """A trace of one environment, both blocks turned by yaw, then toppled about their y axis."""
     z_axis = (math.sin(tilt) * math.cos(yaw), math.sin(tilt) * math.sin(yaw), math.cos(tilt))
     y_axis = (-math.sin(yaw), math.cos(yaw), 0.0)
     one = {
