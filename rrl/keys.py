@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
+__all__ = [
+    "ACTION",
+    "BASE_ACTION",
+    "DIVERGED",
+    "EXECUTED_ACTION",
+    "OBSERVATION",
+    "PREVIOUS_ACTION",
+    "REWARD",
+    "REWARD_TERMS",
+    "SAFETY",
+    "SUCCESS",
+]
+
 ACTION = "action"
-"""What the policy says: the residual, in [-1, 1]."""
+"""The policy's action: the residual, in [-1, 1]."""
 
 BASE_ACTION = "base_action"
-"""What the controller says, in the environment's action units."""
+"""The controller's action, in the environment's action units."""
 
 EXECUTED_ACTION = "executed_action"
-"""What the environment was given after superposition, disturbance and clipping."""
+"""The action that reached the environment, after superposition, disturbance and clipping."""
 
 PREVIOUS_ACTION = "previous_action"
-"""What the policy said in the last steps, oldest first."""
+"""The policy's actions of the last steps, oldest first."""
 
 OBSERVATION = "observation"
 """The concatenated vector that actor and critic read."""
@@ -27,7 +40,7 @@ REWARD = "reward"
 """The weighted sum of the reward terms."""
 
 REWARD_TERMS = "reward_terms"
-"""Nested entry with one weighted term a name."""
+"""Nested entry with one weighted reward term for each name."""
 
 SAFETY = "safety"
-"""Nested entry with one flag a limit: whether it changed this step's action, bool."""
+"""Nested entry with one flag for each safety limit: whether it changed this step's action, bool."""

@@ -19,7 +19,7 @@ from rrl.algorithms.base import Agent
 from rrl.controllers import Controller, PolicyController, ReplayController, ZeroController
 from rrl.keys import ACTION, BASE_ACTION, OBSERVATION, PREVIOUS_ACTION, SUCCESS
 from rrl.slot_random import seed_env
-from rrl.transforms.action_bounds import limits_of
+from rrl.transforms.base import limits_of
 
 from .configuration import build as assembly
 from .environment import EnvironmentFactory
