@@ -97,7 +97,7 @@ class ObservationNoise(RandomTransform):
             # Separate product and sums: fused ones round differently in different places of a
             # batch.
             disturbed = disturbed + noise * self.sigma.to(value)
-        return disturbed
+        return disturbed.reshape(value.shape)
 
     def _check_lengths(self, key: NestedKey, shape: torch.Size) -> None:
         for name, value in (("sigma", self.sigma), ("bias", self.bias)):

@@ -130,7 +130,7 @@ def test_checkpoint_that_is_missing_or_does_not_fit(tmp_path) -> None:
 def test_what_is_not_a_policy() -> None:
     with pytest.raises(TypeError, match="TensorDict module with in_keys and out_keys"):
         PolicyController(nn.Linear(2, 2))
-    with pytest.raises(KeyError, match="action_key: expected one of .*'torque'"):
+    with pytest.raises(KeyError, match=r"action_key: expected one of .*'torque'"):
         PolicyController(make_policy(), action_key="torque")
     with pytest.raises(ValueError, match=r"key_map: expected .* got \['blocks'\]"):
         PolicyController(make_policy(), key_map={"blocks": "goal"})

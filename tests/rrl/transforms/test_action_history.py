@@ -66,5 +66,5 @@ def test_bad_numbers_of_steps_are_named(steps):
 
 
 def test_a_name_that_is_taken_is_named():
-    with pytest.raises(ValueError, match="out_key: expected a name that no observation has, got 'goal'"):
+    with pytest.raises(ValueError, match=r"out_key: expected a name .* got 'goal'"):
         make(ActionHistory(out_key="goal")).observation_spec  # noqa: B018 - computing it is the test

@@ -130,7 +130,7 @@ def test_bad_seed(seed) -> None:
 
 def test_wrong_length() -> None:
     env = TransformedEnv(PointMass(), ControlNoise(mu=[0.1, 0.1, 0.1]))
-    with pytest.raises(ValueError, match="mu: expected one number or 2, .* got 3"):
+    with pytest.raises(ValueError, match=r"mu: expected one number or 2, .* got 3"):
         drive(env, torch.zeros(1, 2))
 
 

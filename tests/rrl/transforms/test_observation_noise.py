@@ -62,7 +62,7 @@ def test_out_keys_leave_the_original() -> None:
 
 @pytest.mark.parametrize("values", [{"sigma": -1.0}, {"sigma": float("nan")}, {"bias": [[1.0]]}])
 def test_bad_numbers(values) -> None:
-    with pytest.raises(ValueError, match="(sigma|bias): expected"):
+    with pytest.raises(ValueError, match=r"(sigma|bias): expected"):
         ObservationNoise([POSITION], **values)
 
 

@@ -1,4 +1,4 @@
-"""Safety limits hold whatever the policy, the controller and the disturbance ask for, and count what they changed."""
+"""Safety limits hold whatever is asked for, and count what they changed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BOX = {"low": -0.5, "high": [0.5, 0.55]}  # PointMass starts in it
 
 
 def wild(*limits, drift=0.0):
-    """A point under everything that could break a limit: controller, full residual, strong noise."""
+    """A point under controller, full residual and strong noise, which could break a limit."""
     chain = Compose(
         *limits, ControlNoise(mu=0.3, sigma=0.8, seed=0), ResidualAction(proportional())
     )
