@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
-from torchrl.data import Composite, TensorSpec
+from torchrl.data import Composite
 
 __all__ = [
     "check",
@@ -17,7 +17,6 @@ __all__ = [
     "check_whole",
     "per_dimension",
     "require",
-    "require_spec",
 ]
 
 
@@ -81,28 +80,16 @@ def check_keys(owner: Any, in_keys: Sequence[NestedKey], out_keys: Sequence[Nest
         )
 
 
-def require(owner: Any, tensordict: TensorDictBase, key: NestedKey, remedy: str = "") -> Tensor:
-    """Return an entry of ``tensordict``.
+def require(
+    owner: Any, entries: TensorDictBase | Composite, key: NestedKey, remedy: str = ""
+) -> Any:
+    """Return an entry of a TensorDict, or the spec of one.
 
     Raises:
         KeyError: If there is no such entry; the message says who needs it and what there is.
     """
-    value = tensordict.get(key, None)
+    value = entries.get(key, None)
     if value is None:
-        raise KeyError(_missing(owner, key, tensordict.keys(True, True)) + remedy)
+        present = sorted(map(str, entries.keys(True, True)))
+        raise KeyError(f"{type(owner).__name__}: expected the entry {key!r}, got {present}{remedy}")
     return value
-
-
-def require_spec(owner: Any, observation_spec: Composite, key: NestedKey) -> TensorSpec:
-    """Return the spec of an observation.
-
-    Raises:
-        KeyError: If there is no such observation; the message says who needs it and what there is.
-    """
-    if key not in observation_spec.keys(True, True):
-        raise KeyError(_missing(owner, key, observation_spec.keys(True, True)))
-    return observation_spec[key]
-
-
-def _missing(owner: Any, key: NestedKey, present: Any) -> str:
-    return f"{type(owner).__name__}: expected the entry {key!r}, got {sorted(map(str, present))}"

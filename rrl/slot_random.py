@@ -101,30 +101,15 @@ class SlotGenerators:
                 generator.set_state(value)
 
     def _draw(self, fill: Any, shape: Sequence[int], mask: Tensor | None) -> Tensor:
-        generators = self._generators
-        if generators is None:
-            generators = self._generators = self._make_generators()
-        if mask is None:
-            out = torch.empty((self.num_slots, *shape), dtype=torch.float32)
-            if self.num_slots == 1:
-                fill(out, generator=generators[0])
-                return out
-            for row, generator in zip(out.unbind(0), generators, strict=True):
-                fill(row, generator=generator)
-            return out
+        if self._generators is None:
+            first = int(torch.randint(_MAX_DRAWN_SEED, ())) if self._seed is None else self._seed
+            seeds = (_stream_seed(first + slot, self.stream) for slot in range(self.num_slots))
+            self._generators = [torch.Generator().manual_seed(seed) for seed in seeds]
         out = torch.zeros((self.num_slots, *shape), dtype=torch.float32)
-        for slot in mask.reshape(self.num_slots).nonzero().flatten().tolist():
-            fill(out[slot], generator=generators[slot])
+        slots = range(self.num_slots) if mask is None else mask.flatten().nonzero().flatten()
+        for slot in slots:
+            fill(out[slot], generator=self._generators[slot])
         return out
-
-    def _make_generators(self) -> list[torch.Generator]:
-        seed = self._seed
-        if seed is None:
-            seed = int(torch.randint(_MAX_DRAWN_SEED, ()))
-        return [
-            torch.Generator().manual_seed(_stream_seed(seed + slot, self.stream))
-            for slot in range(self.num_slots)
-        ]
 
     def __getstate__(self) -> dict[str, Any]:
         # Plain tensors instead of generators: picklable in every supported torch version.

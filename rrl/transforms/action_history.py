@@ -9,7 +9,7 @@ from torchrl.data import Composite
 
 from rrl.checks import check_whole, require
 from rrl.keys import ACTION, PREVIOUS_ACTION
-from rrl.transforms.base import ActionTransform, Memory, SlotTransform, sibling
+from rrl.transforms.base import ActionTransform, Mask, Memory, SlotTransform, sibling
 
 __all__ = ["ActionHistory"]
 
@@ -53,15 +53,11 @@ class ActionHistory(ActionTransform):
         self._given = require(self, tensordict, self._action_key)
         return tensordict
 
-    def first(self, tensordict: TensorDictBase, mask: Tensor | None) -> Memory:
-        """Return a history of zeros."""
+    def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
         nothing = torch.zeros_like(self.limits().low)
         return {"history": nothing.repeat_interleave(self.steps, -1)}
 
-    def advance(
-        self, tensordict: TensorDictBase, next_tensordict: TensorDictBase, mask: Tensor | None
-    ) -> Memory:
-        """Return the history with the oldest action replaced by the newest."""
+    def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
         history, given = self.recall("history"), self._given
         assert given is not None
         return {"history": torch.cat([history[..., given.shape[-1] :], given.to(history)], -1)}

@@ -12,7 +12,14 @@ from torchrl.data import Composite
 from rrl.checks import check_length, per_dimension
 from rrl.keys import ACTION, EXECUTED_ACTION
 from rrl.slot_masks import step_mask
-from rrl.transforms.base import ActionLimits, ActionTransform, Memory, RandomTransform, sibling
+from rrl.transforms.base import (
+    ActionLimits,
+    ActionTransform,
+    Mask,
+    Memory,
+    RandomTransform,
+    sibling,
+)
 
 __all__ = ["ControlNoise"]
 
@@ -103,15 +110,11 @@ class ControlNoise(ActionTransform, RandomTransform):
         self._scaled = None
         return super()._take_limits(action_spec)
 
-    def first(self, tensordict: TensorDictBase, mask: Tensor | None) -> Memory:
-        """Return zeros: nothing was executed."""
+    def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
         return {"executed": torch.zeros_like(self.limits().low)}
 
-    def advance(
-        self, tensordict: TensorDictBase, next_tensordict: TensorDictBase, mask: Tensor | None
-    ) -> Memory:
-        """Return the executed action."""
-        return {"executed": tensordict.get(self._executed_key)}
+    def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
+        return {"executed": td.get(self._executed_key)}
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the executed action, in the environment's action units."""

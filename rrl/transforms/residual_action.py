@@ -11,11 +11,11 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.data import Bounded, Composite
 
-from rrl.checks import check_length, per_dimension, require, require_spec
+from rrl.checks import check_length, per_dimension, require
 from rrl.controllers.base import Controller
 from rrl.controllers.policy import PolicyController
 from rrl.keys import ACTION, BASE_ACTION
-from rrl.transforms.base import ActionLimits, ActionTransform, Memory, sibling
+from rrl.transforms.base import ActionLimits, ActionTransform, Mask, Memory, sibling
 
 __all__ = ["ResidualAction"]
 
@@ -88,24 +88,20 @@ class ResidualAction(ActionTransform):
         self.scale = per_dimension("scale", scale, minimum=0.0)
         self._span: Tensor | None = None  # the scale in action units
 
-    def first(self, tensordict: TensorDictBase, mask: Tensor | None) -> Memory:
-        """Return the controller's first action of an episode."""
+    def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
         if self._limits is None and self.container is not None:
             self.limits()  # tells the controller the action's size
         self.controller.reset(mask)
-        return self._base_action(tensordict, mask)
+        return self._base_action(td, mask)
 
-    def advance(
-        self, tensordict: TensorDictBase, next_tensordict: TensorDictBase, mask: Tensor | None
-    ) -> Memory:
-        """Return the controller's next action."""
-        return self._base_action(next_tensordict, mask)
+    def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
+        return self._base_action(next_td, mask)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the base action outside an environment, for example in front of an actor."""
         return tensordict.set(self._base_key, self._base_action(tensordict, None)["base_action"])
 
-    def _base_action(self, tensordict: TensorDictBase, mask: Tensor | None) -> Memory:
+    def _base_action(self, tensordict: TensorDictBase, mask: Mask) -> Memory:
         controller, limits = self.controller, self._limits
         # Slots in the middle of an episode keep their controller's state.
         before = None if mask is None else controller.snapshot()
@@ -158,7 +154,7 @@ class ResidualAction(ActionTransform):
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add ``base_action``, in the environment's action units."""
         for key in self.in_keys:
-            require_spec(self.controller, observation_spec, key)
+            require(self.controller, observation_spec, key)
         return self.add_spec(
             observation_spec, self._base_key, self.action_like(), "base_action_key"
         )

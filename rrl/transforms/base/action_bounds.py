@@ -7,9 +7,9 @@ from typing import NamedTuple
 import torch
 from tensordict import NestedKey
 from torch import Tensor
-from torchrl.data import Bounded, Composite, TensorSpec, Unbounded
+from torchrl.data import Bounded, Composite, TensorSpec
 
-__all__ = ["ActionLimits", "action_leaf", "limits_of", "unbounded_like"]
+__all__ = ["ActionLimits", "action_leaf", "limits_of"]
 
 
 class ActionLimits(NamedTuple):
@@ -67,14 +67,3 @@ def limits_of(spec: TensorSpec) -> ActionLimits:
     half_range = (high - low) / 2
     half_range = torch.where(half_range.isfinite(), half_range, torch.ones_like(half_range))
     return ActionLimits(low, high, half_range, spec.shape, spec.dtype)
-
-
-def unbounded_like(name: NestedKey, spec: TensorSpec) -> Unbounded:
-    """Return a spec of the same shape, dtype and device without bounds.
-
-    Raises:
-        TypeError: If the spec of the observation ``name`` is not one of floating point numbers.
-    """
-    if not spec.dtype.is_floating_point:
-        raise TypeError(f"{name!r}: expected a floating point observation, got {spec.dtype}")
-    return Unbounded(shape=spec.shape, dtype=spec.dtype, device=spec.device)

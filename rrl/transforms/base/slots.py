@@ -16,20 +16,23 @@ from torchrl.envs.transforms import Transform
 from rrl.slot_masks import merge, reset_mask, step_mask
 from rrl.slot_random import Seeded, SlotGenerators
 
-__all__ = ["Memory", "RandomTransform", "SlotTransform"]
+__all__ = ["Mask", "Memory", "RandomTransform", "SlotTransform"]
+
+Mask = Tensor | None
+"""Slots, bool ``[*batch]``; None: all of them."""
 
 Memory = dict[str, Tensor]
+"""Tensors ``[*batch, ...]`` by name."""
 
 
 class SlotTransform(Transform):
     """A transform with memory, held slot by slot.
 
-    A subclass says what a slot remembers when its episode starts (:meth:`first`) and after a step
-    (:meth:`advance`). What goes with it is done here: resets and steps of some of the slots,
+    A subclass says what a slot remembers when its episode starts (:meth:`_first`) and after a step
+    (:meth:`_advance`). What goes with it is done here: resets and steps of some of the slots,
     environments that reset themselves within a step, ``state_dict`` and clones.
 
-    ``memory`` holds tensors ``[*batch, ...]`` by name. It is replaced and never changed in place,
-    so that a clone may start from the same tensors.
+    ``memory`` is replaced and never changed in place: a clone may start from the same tensors.
     """
 
     def __init__(self, **keys: Sequence[NestedKey]) -> None:
@@ -37,29 +40,25 @@ class SlotTransform(Transform):
         self.memory: Memory = {}
 
     @abstractmethod
-    def first(self, tensordict: TensorDictBase, mask: Tensor | None) -> Memory:
+    def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
         """Return the memory at the start of an episode.
 
         Args:
-            tensordict: First observations of the episode, at the transform's place in the chain.
-            mask: Slots that start an episode, bool ``[*batch]``; None: all. What is returned for
-                other slots does not count.
+            td: First observations of the episode, at the transform's place in the chain.
+            mask: Slots that start an episode. What is returned for other slots does not count.
         """
 
     @abstractmethod
-    def advance(
-        self, tensordict: TensorDictBase, next_tensordict: TensorDictBase, mask: Tensor | None
-    ) -> Memory:
+    def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
         """Return the memory after a step.
 
         Args:
-            tensordict: Input of the environment's step, with the executed action.
-            next_tensordict: Its outcome, at the transform's place in the chain.
-            mask: Slots that were stepped, bool ``[*batch]``; None: all. What is returned for other
-                slots does not count.
+            td: Input of the environment's step, with the executed action.
+            next_td: Its outcome, at the transform's place in the chain.
+            mask: Slots that were stepped. What is returned for other slots does not count.
         """
 
-    def outputs(self) -> Iterable[Tensor]:
+    def _outputs(self) -> Iterable[Tensor]:
         """Return what is written to each of ``out_keys``; by default all that is remembered."""
         return self.memory.values()
 
@@ -69,34 +68,32 @@ class SlotTransform(Transform):
         Raises:
             RuntimeError: If nothing was remembered yet.
         """
-        if name not in self.memory:
-            raise RuntimeError(f"{type(self).__name__}: expected a reset before the first step")
-        return self.memory[name]
+        if name in self.memory:
+            return self.memory[name]
+        raise RuntimeError(f"{type(self).__name__}: expected a reset before the first step")
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         mask = reset_mask(tensordict, tensordict_reset.batch_size)
-        return self._remember(tensordict_reset, self.first(tensordict_reset, mask), mask)
+        return self._remember(tensordict_reset, self._first(tensordict_reset, mask), mask)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         mask = step_mask(tensordict, next_tensordict.batch_size)
-        memory = self.advance(tensordict, next_tensordict, mask)
+        memory = self._advance(tensordict, next_tensordict, mask)
         if self.resets_itself():
             # Here, not in _reset_on_native_autoreset, which sees what later transforms have made
             # of the first observations.
             started = _any_done(next_tensordict)
             started = started if mask is None else started & mask
-            memory = merge(started, self.first(next_tensordict, started), memory)
+            memory = merge(started, self._first(next_tensordict, started), memory)
         return self._remember(next_tensordict, memory, mask)
 
-    def _remember(
-        self, tensordict: TensorDictBase, memory: Memory, mask: Tensor | None
-    ) -> TensorDictBase:
+    def _remember(self, tensordict: TensorDictBase, memory: Memory, mask: Mask) -> TensorDictBase:
         if mask is not None and self.memory:
             memory = merge(mask, memory, self.memory)
         self.memory = memory
-        for key, value in zip(self.out_keys, self.outputs(), strict=True):
+        for key, value in zip(self.out_keys, self._outputs(), strict=True):
             tensordict.set(key, value.clone())  # whoever changes it leaves the memory alone
         return tensordict
 
@@ -184,19 +181,15 @@ class RandomTransform(Seeded, SlotTransform):
         self._generators.resize(batch.numel())
         return self._generators
 
-    def draw_normal(self, batch: torch.Size, shape: torch.Size, mask: Tensor | None) -> Tensor:
+    def draw_normal(self, batch: torch.Size, shape: torch.Size, mask: Mask) -> Tensor:
         """Draw standard normal numbers ``[*batch, *shape]``, zeros where ``mask`` is False."""
         return self.slots(batch).normal(shape, mask).reshape(batch + shape)
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return memory and generators for ``state_dict``."""
-        generators = self._generators.state_dict()
-        follows = self._follows_global_seed
-        return {
-            **super().get_extra_state(),
-            "follows_global_seed": follows,
-            "generators": generators,
-        }
+        state = super().get_extra_state()
+        state["follows_global_seed"] = self._follows_global_seed
+        return state | {"generators": self._generators.state_dict()}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Take memory and generators from a ``state_dict``."""

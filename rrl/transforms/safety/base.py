@@ -10,9 +10,9 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Composite
 
-from rrl.checks import require_spec
+from rrl.checks import require
 from rrl.keys import EXECUTED_ACTION, SAFETY
-from rrl.transforms.base import ActionLimits, ActionTransform, Memory, sibling
+from rrl.transforms.base import ActionLimits, ActionTransform, Mask, Memory, sibling
 
 __all__ = ["SafetyLimit"]
 
@@ -83,29 +83,24 @@ class SafetyLimit(ActionTransform):
             tensordict.set(self._executed_key, safe)
         return tensordict.set(self._action_key, safe)
 
-    def first(self, tensordict: TensorDictBase, mask: Tensor | None) -> Memory:
-        """Return the first measurement and an unset flag."""
+    def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
         action = torch.zeros_like(self.limits().low)
         flag = torch.zeros_like(action[..., :1], dtype=torch.bool)
-        return {"measured": self.measure(tensordict, action).clone(), "flag": flag}
+        return {"measured": self.measure(td, action).clone(), "flag": flag}
 
-    def advance(
-        self, tensordict: TensorDictBase, next_tensordict: TensorDictBase, mask: Tensor | None
-    ) -> Memory:
-        """Return measurement and flag after a step."""
+    def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
         # A copy: an environment may change its own tensors in place.
-        measured = self.measure(next_tensordict, self.action(tensordict)).clone()
-        return {"measured": measured, "flag": tensordict.get(self._flag_key)}
+        measured = self.measure(next_td, self.action(td)).clone()
+        return {"measured": measured, "flag": td.get(self._flag_key)}
 
-    def outputs(self) -> Iterable[Tensor]:
-        """Return the flag."""
+    def _outputs(self) -> Iterable[Tensor]:
         return [self.memory["flag"]]
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the flag that says whether the last action was changed."""
         sizes = {}
         for key in self.in_keys:
-            spec = require_spec(self, observation_spec, key)
+            spec = require(self, observation_spec, key)
             if spec.ndim <= observation_spec.ndim:
                 raise ValueError(
                     f"{key!r}: expected an observation of shape [*batch, n], got "

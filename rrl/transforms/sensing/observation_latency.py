@@ -9,9 +9,9 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite
 
-from rrl.checks import check, check_keys, check_whole, require, require_spec
+from rrl.checks import check, check_keys, check_whole, require
 from rrl.slot_masks import merge
-from rrl.transforms.base import Memory, RandomTransform
+from rrl.transforms.base import Mask, Memory, RandomTransform
 
 __all__ = ["ObservationLatency"]
 
@@ -64,28 +64,22 @@ class ObservationLatency(RandomTransform):
         check("dropout", dropout, "a probability in [0, 1)", 0.0 <= dropout < 1.0)
         self.dropout = float(dropout)
 
-    def first(self, tensordict: TensorDictBase, mask: Tensor | None) -> Memory:
-        """Return queues ``[*batch, steps + 1, ...]``, oldest measurement first, and ages."""
-        batch = tensordict.batch_size
+    def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
+        batch = td.batch_size
         memory = {
-            str(number): torch.stack(
-                [require(self, tensordict, key)] * (self.steps + 1), len(batch)
-            )
+            str(number): torch.stack([require(self, td, key)] * (self.steps + 1), len(batch))
             for number, key in enumerate(self.in_keys)
         }
         # Control steps since the reset, int64 (*batch)
-        return memory | {_AGE: torch.zeros(batch, dtype=torch.int64, device=tensordict.device)}
+        return memory | {_AGE: torch.zeros(batch, dtype=torch.int64, device=td.device)}
 
-    def advance(
-        self, tensordict: TensorDictBase, next_tensordict: TensorDictBase, mask: Tensor | None
-    ) -> Memory:
-        """Return the queues one step later."""
-        batch = next_tensordict.batch_size
+    def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
+        batch = next_td.batch_size
         memory = {_AGE: self.recall(_AGE) + 1}
         measured = self._measured(memory[_AGE], batch, mask)
         dim = len(batch)
         for number, key in enumerate(self.in_keys):
-            queue, value = self.memory[str(number)], require(self, next_tensordict, key)
+            queue, value = self.memory[str(number)], require(self, next_td, key)
             if measured is not None:
                 value = merge(measured, value, queue.select(dim, -1))
             late = queue.narrow(dim, 1, self.steps)
@@ -103,13 +97,12 @@ class ObservationLatency(RandomTransform):
             measured = kept if measured is None else measured & kept
         return measured
 
-    def outputs(self) -> Iterable[Tensor]:
-        """Return the oldest measurement of every queue."""
+    def _outputs(self) -> Iterable[Tensor]:
         dim = self.memory[_AGE].ndim
         return [self.memory[str(number)].select(dim, 0) for number in range(len(self.in_keys))]
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Give the delayed observations the specs of the originals."""
         for in_key, out_key in zip(self.in_keys, self.out_keys, strict=True):
-            observation_spec[out_key] = require_spec(self, observation_spec, in_key).clone()
+            observation_spec[out_key] = require(self, observation_spec, in_key).clone()
         return observation_spec

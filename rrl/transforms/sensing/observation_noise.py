@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
-from torchrl.data import Composite
+from torchrl.data import Composite, Unbounded
 
-from rrl.checks import check_keys, check_length, per_dimension, require, require_spec
-from rrl.transforms.base import Memory, RandomTransform, unbounded_like
+from rrl.checks import check_keys, check_length, per_dimension, require
+from rrl.transforms.base import Mask, Memory, RandomTransform
 
 __all__ = ["ObservationNoise"]
 
@@ -59,15 +59,11 @@ class ObservationNoise(RandomTransform):
         self.bias = per_dimension("bias", bias)
         self._noisy = bool((self.sigma != 0).any())
 
-    def first(self, tensordict: TensorDictBase, mask: Tensor | None) -> Memory:
-        """Return noisy observations."""
-        return self._observe(tensordict, mask)
+    def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
+        return self._observe(td, mask)
 
-    def advance(
-        self, tensordict: TensorDictBase, next_tensordict: TensorDictBase, mask: Tensor | None
-    ) -> Memory:
-        """Return noisy observations."""
-        return self._observe(next_tensordict, mask)
+    def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
+        return self._observe(next_td, mask)
 
     def resets_itself(self) -> bool:
         """Return False: the first observation of an episode is as noisy as the others."""
@@ -79,14 +75,14 @@ class ObservationNoise(RandomTransform):
             tensordict.set(key, value)
         return tensordict
 
-    def _observe(self, tensordict: TensorDictBase, mask: Tensor | None) -> Memory:
+    def _observe(self, tensordict: TensorDictBase, mask: Mask) -> Memory:
         return {
             str(number): self._disturb(key, require(self, tensordict, key), tensordict, mask)
             for number, key in enumerate(self.in_keys)
         }
 
     def _disturb(
-        self, key: NestedKey, value: Tensor, tensordict: TensorDictBase, mask: Tensor | None
+        self, key: NestedKey, value: Tensor, tensordict: TensorDictBase, mask: Mask
     ) -> Tensor:
         batch = tensordict.batch_size
         shape = value.shape[len(batch) :]
@@ -106,7 +102,11 @@ class ObservationNoise(RandomTransform):
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Write the noisy observations' specs, which have no bounds."""
         for in_key, out_key in zip(self.in_keys, self.out_keys, strict=True):
-            spec = require_spec(self, observation_spec, in_key)
+            spec = require(self, observation_spec, in_key)
             self._check_lengths(in_key, spec.shape[observation_spec.ndim :])
-            observation_spec[out_key] = unbounded_like(in_key, spec)
+            if not spec.dtype.is_floating_point:
+                raise TypeError(
+                    f"{in_key!r}: expected a floating point observation, got {spec.dtype}"
+                )
+            observation_spec[out_key] = Unbounded(spec.shape, device=spec.device, dtype=spec.dtype)
         return observation_spec
