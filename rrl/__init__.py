@@ -1,1 +1,79 @@
-"""Residual reinforcement learning for robot control, on TorchRL."""
+"""Residual reinforcement learning for robot control, on TorchRL.
+
+The public names can be imported from here. Each is loaded at its first use, so that ``import rrl``
+and the command line's help do not wait for torch.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rrl.algorithms import DDPG, SAC, TD3, Agent
+    from rrl.controllers import (
+        Controller,
+        PIDController,
+        PolicyController,
+        ProportionalController,
+        ReplayController,
+        StatefulController,
+        SumController,
+        ZeroController,
+    )
+    from rrl.transforms import (
+        ActionHistory,
+        ControlNoise,
+        FiniteAction,
+        ForceLimit,
+        ObservationLatency,
+        ObservationNoise,
+        ResidualAction,
+        SafetyLimit,
+        StepLimit,
+        WorkspaceLimit,
+    )
+
+__all__ = [
+    "DDPG",
+    "SAC",
+    "TD3",
+    "ActionHistory",
+    "Agent",
+    "ControlNoise",
+    "Controller",
+    "EnvironmentFactory",
+    "FiniteAction",
+    "ForceLimit",
+    "ObservationLatency",
+    "ObservationNoise",
+    "PIDController",
+    "PolicyController",
+    "ProportionalController",
+    "ReplayController",
+    "ResidualAction",
+    "SafetyLimit",
+    "StatefulController",
+    "StepLimit",
+    "SumController",
+    "Trainer",
+    "TrainerSettings",
+    "WorkspaceLimit",
+    "ZeroController",
+]
+
+_TRAINERS = ("EnvironmentFactory", "Trainer", "TrainerSettings")
+_PACKAGES = ("rrl.controllers", "rrl.transforms", "rrl.algorithms")
+
+
+def __getattr__(name: str) -> Any:
+    if name in __all__:
+        packages = ("rrl.trainers",) if name in _TRAINERS else _PACKAGES
+        for package in map(import_module, packages):
+            if name in package.__all__:
+                return globals().setdefault(name, getattr(package, name))
+    raise AttributeError(f"rrl: expected one of {', '.join(__all__)}, got {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,13 +1,40 @@
-"""Checks of parameters that are a number or one number for each dimension."""
+"""Checks of parameters, keys and shapes. Every message reads ``name: expected X, got Y``."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
+from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
+from torchrl.data import Composite
 
-__all__ = ["check_length", "per_dimension"]
+__all__ = [
+    "check",
+    "check_keys",
+    "check_length",
+    "check_whole",
+    "per_dimension",
+    "require",
+]
+
+
+def check(name: str, value: object, expected: str, fine: bool) -> None:
+    """Raise a ValueError that names a parameter, unless it is fine."""
+    if not fine:
+        raise ValueError(f"{name}: expected {expected}, got {value!r}")
+
+
+def check_whole(name: str, value: float, minimum: int) -> int:
+    """Return ``value`` as an integer.
+
+    Raises:
+        ValueError: If it is not a whole number of at least ``minimum``.
+    """
+    fine = minimum <= value < float("inf") and value == int(value)
+    check(name, value, f"a whole number of at least {minimum}", fine)
+    return int(value)
 
 
 def per_dimension(
@@ -17,38 +44,52 @@ def per_dimension(
     minimum: float | None = None,
     positive: bool = False,
 ) -> Tensor:
-    """Make a float32 tensor ``[]`` or ``[n]`` from a number or one number for each dimension.
+    """Return a number, or one number for each dimension, as a float64 tensor ``[]`` or ``[n]``.
 
     Raises:
         ValueError: If it is neither, not finite, below the minimum, or not positive but must be.
-
     """
     try:
-        tensor = torch.as_tensor(value, dtype=torch.float32).detach().clone()
+        tensor = torch.as_tensor(value, dtype=torch.float64).detach().clone()
     except (TypeError, ValueError, RuntimeError):
-        raise ValueError(
-            f"{name} must be a number or a list with one number a dimension, got {value!r}."
-        ) from None
-    if tensor.ndim > 1 or tensor.numel() == 0:
-        raise ValueError(
-            f"{name} must be a number or a list with one number a dimension, got {value!r}."
-        )
-    if not tensor.isfinite().all():
-        raise ValueError(f"{name} must be finite, got {value!r}.")
-    if minimum is not None and (tensor < minimum).any():
-        raise ValueError(f"{name} must be at least {minimum:g}, got {value!r}.")
-    if positive and not (tensor > 0).all():
-        raise ValueError(f"{name} must be positive, got {value!r}.")
+        tensor = torch.empty(0)
+    one_or_list = tensor.ndim <= 1 and tensor.numel() > 0
+    check(name, value, "a number or a list with one number for each dimension", one_or_list)
+    check(name, value, "finite numbers", bool(tensor.isfinite().all()))
+    if minimum is not None:
+        check(name, value, f"numbers of at least {minimum:g}", bool((tensor >= minimum).all()))
+    check(name, value, "positive numbers", not positive or bool((tensor > 0).all()))
     return tensor
 
 
 def check_length(name: str, value: Tensor, size: int, what: str) -> None:
-    """Raise a ValueError unless ``value`` is one number or has one a dimension."""
+    """Raise a ValueError unless ``value`` is one number or has one for each dimension."""
     if value.ndim and value.shape[-1] != size:
-        raise ValueError(f"{name} has {value.shape[-1]} numbers, {what} has {size} dimensions.")
+        raise ValueError(
+            f"{name}: expected one number or {size}, as many as {what} has dimensions, "
+            f"got {value.shape[-1]}"
+        )
 
 
-def check(name: str, value: object, expected: str, fine: bool) -> None:
-    """Raise a ValueError that names a hyperparameter, unless it is fine."""
-    if not fine:
-        raise ValueError(f"{name}: expected {expected}, got {value!r}")
+def check_keys(owner: Any, in_keys: Sequence[NestedKey], out_keys: Sequence[NestedKey]) -> None:
+    """Raise a ValueError unless there is one out key for each of at least one in key."""
+    if not in_keys or len(in_keys) != len(out_keys):
+        raise ValueError(
+            f"{type(owner).__name__}: expected at least one in key and one out key for each, got "
+            f"{list(in_keys)} and {list(out_keys)}"
+        )
+
+
+def require(
+    owner: Any, entries: TensorDictBase | Composite, key: NestedKey, remedy: str = ""
+) -> Any:
+    """Return an entry of a TensorDict, or the spec of one.
+
+    Raises:
+        KeyError: If there is no such entry; the message says who needs it and what there is.
+    """
+    value = entries.get(key, None)
+    if value is None:
+        present = sorted(map(str, entries.keys(True, True)))
+        raise KeyError(f"{type(owner).__name__}: expected the entry {key!r}, got {present}{remedy}")
+    return value

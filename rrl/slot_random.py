@@ -11,6 +11,8 @@ import torch
 from torch import Tensor
 from torchrl.envs import EnvBase, SerialEnv, TransformedEnv
 
+from rrl.checks import check, check_whole
+
 __all__ = ["Seeded", "SlotGenerators", "seed_env"]
 
 _MAX_DRAWN_SEED = 2**31
@@ -33,28 +35,23 @@ class SlotGenerators:
     Raises:
         ValueError: If ``num_slots`` is not a positive integer.
         TypeError: If ``seed`` is neither an integer nor None.
-
     """
 
     def __init__(self, seed: int | None, num_slots: int, stream: str = "") -> None:
-        if num_slots < 1:
-            raise ValueError(f"num_slots must be at least 1, got {num_slots}.")
-        self.num_slots = int(num_slots)
+        self.num_slots = check_whole("num_slots", num_slots, 1)
         self.stream = stream
         self._seed = _check_seed(seed)
         self._generators: list[torch.Generator] | None = None
 
     def seed(self, seed: int | None) -> None:
-        """Start every slot anew from ``seed + i`` (None: from torch's global generator, lazily)."""
+        """Start every slot anew from ``seed + i``; None: from torch's generator, at first use."""
         self._seed = _check_seed(seed)
         self._generators = None
 
     def resize(self, num_slots: int) -> None:
-        """Change the number of slots; the remaining slots start anew from the seed."""
-        if num_slots < 1:
-            raise ValueError(f"num_slots must be at least 1, got {num_slots}.")
+        """Change the number of slots; all start anew from the seed."""
         if num_slots != self.num_slots:
-            self.num_slots = int(num_slots)
+            self.num_slots = check_whole("num_slots", num_slots, 1)
             self._generators = None
 
     def normal(self, shape: Sequence[int], mask: Tensor | None = None) -> Tensor:
@@ -67,7 +64,6 @@ class SlotGenerators:
 
         Returns:
             float32 ``[num_slots, *shape]`` on the CPU.
-
         """
         return self._draw(torch.Tensor.normal_, shape, mask)
 
@@ -80,10 +76,8 @@ class SlotGenerators:
 
         Raises:
             ValueError: If ``high`` is not in [1, 2^24], the integers that float32 holds exactly.
-
         """
-        if not 1 <= high <= _MAX_INTEGER:
-            raise ValueError(f"high must be in [1, {_MAX_INTEGER}], got {high}.")
+        check("high", high, f"a number in [1, {_MAX_INTEGER}]", 1 <= high <= _MAX_INTEGER)
 
         def fill(row: Tensor, generator: torch.Generator) -> None:
             row.random_(0, high, generator=generator)
@@ -107,30 +101,15 @@ class SlotGenerators:
                 generator.set_state(value)
 
     def _draw(self, fill: Any, shape: Sequence[int], mask: Tensor | None) -> Tensor:
-        generators = self._generators
-        if generators is None:
-            generators = self._generators = self._make_generators()
-        if mask is None:
-            out = torch.empty((self.num_slots, *shape))
-            if self.num_slots == 1:
-                fill(out, generator=generators[0])
-                return out
-            for row, generator in zip(out.unbind(0), generators, strict=True):
-                fill(row, generator=generator)
-            return out
-        out = torch.zeros((self.num_slots, *shape))
-        for slot in mask.reshape(self.num_slots).nonzero().flatten().tolist():
-            fill(out[slot], generator=generators[slot])
+        if self._generators is None:
+            first = int(torch.randint(_MAX_DRAWN_SEED, ())) if self._seed is None else self._seed
+            seeds = (_stream_seed(first + slot, self.stream) for slot in range(self.num_slots))
+            self._generators = [torch.Generator().manual_seed(seed) for seed in seeds]
+        out = torch.zeros((self.num_slots, *shape), dtype=torch.float32)
+        slots = range(self.num_slots) if mask is None else mask.flatten().nonzero().flatten()
+        for slot in slots:
+            fill(out[slot], generator=self._generators[slot])
         return out
-
-    def _make_generators(self) -> list[torch.Generator]:
-        seed = self._seed
-        if seed is None:
-            seed = int(torch.randint(_MAX_DRAWN_SEED, ()))
-        return [
-            torch.Generator().manual_seed(_stream_seed(seed + slot, self.stream))
-            for slot in range(self.num_slots)
-        ]
 
     def __getstate__(self) -> dict[str, Any]:
         # Plain tensors instead of generators: picklable in every supported torch version.
@@ -161,7 +140,6 @@ def seed_env(env: EnvBase, seed: int) -> None:
     Args:
         env: Any TorchRL environment, transformed or not.
         seed: Seed of slot 0.
-
     """
     if isinstance(env, TransformedEnv):
         seed_env(env.base_env, seed)
@@ -182,7 +160,7 @@ def _check_seed(seed: int | None) -> int | None:
     if seed is None:
         return None
     if isinstance(seed, bool) or not hasattr(seed, "__index__"):
-        raise TypeError(f"seed must be an integer or None, got {seed!r}.")
+        raise TypeError(f"seed: expected an integer or None, got {seed!r}")
     return operator.index(seed)
 
 

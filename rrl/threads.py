@@ -8,11 +8,11 @@ __all__ = ["available_threads", "cores"]
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def available_threads() -> int:
-    """``OMP_NUM_THREADS`` where it is set, as for torch; else one a core."""
+    """Return ``OMP_NUM_THREADS`` where it is set, as torch does; else the number of cores."""
     first = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()
     return int(first) if first.isdecimal() and int(first) > 0 else cores()

@@ -16,11 +16,13 @@ from rrl.controllers import (
     PIDController,
     ProportionalController,
     ReplayController,
+    StatefulController,
     SumController,
 )
 from rrl.transforms import (
     ActionHistory,
     ControlNoise,
+    FiniteAction,
     ForceLimit,
     ObservationLatency,
     ObservationNoise,
@@ -44,12 +46,47 @@ def with_memory() -> SumController:
     return SumController([pid, replay], weights=[1.0, [0.5, 1.5]], clip=0.9)
 
 
+class Plan(StatefulController):
+    """Plans five actions, all of them the goal, plays them, and plans again.
+
+    Its memory nests, holds integers, and does not start at zero: a new slot has to plan first.
+    """
+
+    LENGTH = 5
+
+    def __init__(self) -> None:
+        super().__init__([POSITION, "goal"])
+
+    def initial_state(self, tensordict: TensorDictBase) -> dict:
+        goal = self.read(tensordict, "goal")
+        plan = torch.full((*goal.shape[:-1], self.LENGTH, goal.shape[-1]), 0.9)
+        played = torch.full(goal.shape[:-1], self.LENGTH)
+        return {"plan": {"actions": plan, "played": played}, "episode_steps": played - self.LENGTH}
+
+    def act(self, tensordict: TensorDictBase) -> Tensor:
+        state, goal = self.state_for(tensordict), self.read(tensordict, "goal")
+        actions, played = state["plan"]["actions"], state["plan"]["played"]
+        over = played >= self.LENGTH
+        actions = torch.where(over[..., None, None], goal.unsqueeze(-2), actions)
+        played = torch.where(over, 0, played)
+        self.state = {
+            "plan": {"actions": actions, "played": played + 1},
+            "episode_steps": state["episode_steps"] + 1,
+        }
+        index = played[..., None, None].expand(*played.shape, 1, actions.shape[-1])
+        return actions.gather(-2, index).squeeze(-2)
+
+
 def residual(seed: int | None) -> Transform:
     return ResidualAction(proportional(), scale=0.5)
 
 
 def residual_with_memory(seed: int | None) -> Transform:
     return ResidualAction(with_memory(), scale=[0.5, 1.0])
+
+
+def residual_with_plan(seed: int | None) -> Transform:
+    return ResidualAction(Plan(), scale=0.3)
 
 
 def residual_on_policy(seed: int | None) -> Transform:
@@ -96,6 +133,10 @@ def force_limit(seed: int | None) -> Transform:
     return ForceLimit(limit=0.3, onset=0.1, retract=0.2, force_key=POSITION, axes=[0, 1])
 
 
+def finite_action(seed: int | None) -> Transform:
+    return FiniteAction()
+
+
 def action_history(seed: int | None) -> Transform:
     return ActionHistory(3, out_key=("memory", "action"))
 
@@ -105,7 +146,7 @@ def residual_history(seed: int | None) -> Transform:
 
 
 def safe_residual(seed: int | None) -> Transform:
-    limits = workspace_limit(seed), force_limit(seed), step_limit(seed)
+    limits = workspace_limit(seed), force_limit(seed), step_limit(seed), finite_action(seed)
     return Compose(*limits, control_noise(seed), residual_with_memory(seed))
 
 
@@ -126,6 +167,7 @@ CASES: dict[str, Factory] = {
     for factory in (
         residual,
         residual_with_memory,
+        residual_with_plan,
         residual_on_policy,
         control_noise,
         observation_noise,
@@ -135,6 +177,7 @@ CASES: dict[str, Factory] = {
         workspace_limit,
         step_limit,
         force_limit,
+        finite_action,
         action_history,
         residual_history,
         safe_residual,

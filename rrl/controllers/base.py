@@ -1,4 +1,4 @@
-"""What a controller is: a module from observation keys to the base action."""
+"""The interface of a controller: a module from observation keys to the base action."""
 
 from __future__ import annotations
 
@@ -7,123 +7,122 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
-from tensordict import NestedKey, TensorDictBase
+from tensordict import NestedKey, TensorDictBase, unravel_key
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
+from rrl.checks import require
 from rrl.keys import BASE_ACTION
+from rrl.slot_masks import merge
 
-__all__ = ["Controller", "StatefulController"]
+__all__ = ["Controller", "State", "StatefulController"]
 
-State = dict[str, Tensor]
+State = dict[str, Any]
+"""Tensors ``[*batch, ...]`` by name; dictionaries may nest."""
 
 
 class Controller(TensorDictModuleBase):
     """Base of all controllers, pi_H(s_m) in the paper (section IV, equation of the superposition).
 
     A controller reads ``in_keys`` and writes one action to ``out_key``, in the action units of the
-    environment it drives. A subclass implements :meth:`act`.
+    environment that it drives. A subclass implements :meth:`act`.
 
     Args:
-        in_keys: Observation keys that :meth:`act` reads.
+        in_keys: Observation keys that :meth:`act` reads; they may be nested.
         out_key: Key that the action is written to.
-
     """
 
     def __init__(self, in_keys: Sequence[NestedKey], out_key: NestedKey = BASE_ACTION) -> None:
         super().__init__()
-        self.in_keys = list(in_keys)
-        self.out_keys = [out_key]
+        keys = [in_keys] if isinstance(in_keys, str) else in_keys
+        self.in_keys = [unravel_key(key) for key in keys]
+        self.out_keys = [unravel_key(out_key)]
 
     @abstractmethod
     def act(self, tensordict: TensorDictBase) -> Tensor:
-        """Compute the action of shape ``[*batch, n_act]``; leaves ``tensordict`` as it is.
+        """Return the action ``[*batch, n_act]`` and leave ``tensordict`` as it is.
 
         Raises:
             KeyError: If an observation key is missing.
-
         """
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write the action to the out key of ``tensordict`` and returns it."""
+        """Write the action to ``tensordict`` and return it."""
         return tensordict.set(self.out_keys[0], self.act(tensordict))
 
     def read(self, tensordict: TensorDictBase, key: NestedKey) -> Tensor:
         """Return an entry, or raise a KeyError that says what there is instead."""
-        value = tensordict.get(key, None)
-        if value is None:
-            available = sorted(map(str, tensordict.keys(True, True)))
-            raise KeyError(
-                f"{type(self).__name__} needs the key {key!r}, which the tensordict does not hold. "
-                f"Available keys: {available}."
-            )
-        return value
+        return require(self, tensordict, key)
 
     def fit(self, action_size: int) -> None:
-        """Learn the size of the environment's action, n_act, before the first call."""
+        """Learn the size n_act of the environment's action before the first call."""
 
     def reset(self, mask: Tensor | None = None) -> None:
         """Start a new episode where ``mask`` (bool ``[*batch]``) is True; None: in all slots."""
         for module in self._stateful():
             module.reset_state(mask)
 
-    def snapshot(self) -> list[State | None]:
+    def snapshot(self) -> list[Any]:
         """Return the state of every stateful controller in here, for :meth:`restore`."""
-        return [module.state for module in self._stateful()]
+        return [(module.state, module._fresh) for module in self._stateful()]
 
-    def restore(self, snapshot: list[State | None], mask: Tensor) -> None:
-        """Put back a snapshot in the slots where ``mask`` (bool ``[*batch]``) is True."""
-        for module, state in zip(self._stateful(), snapshot, strict=True):
-            if state is not None and module.state is not None:
-                module.state = _merge(mask, state, module.state)
+    def restore(self, snapshot: list[Any], mask: Tensor) -> None:
+        """Put a snapshot back in the slots where ``mask`` (bool ``[*batch]``) is True."""
+        for module, (state, fresh) in zip(self._stateful(), snapshot, strict=True):
+            if state is None:
+                module.reset_state(mask)
+                continue
+            module.state = merge(mask, state, module.state)
+            if fresh is not None:
+                module._fresh = merge(mask, fresh, module._fresh)
 
     def _stateful(self) -> list[StatefulController]:
         return [module for module in self.modules() if isinstance(module, StatefulController)]
 
 
 class StatefulController(Controller):
-    """A controller with memory, held slot by slot.
+    """Base of controllers with memory, held slot by slot.
 
-    ``state`` maps names to tensors ``[*batch, ...]``. It is allocated at first use and always
-    replaced, never changed in place, so that a reference to an old state stays valid. It is part of
+    :meth:`act` reads the memory with :meth:`state_for` and assigns the new one to ``state``. A slot
+    that was reset finds its :meth:`initial_state` there. ``state`` is always replaced, never
+    changed in place, so that a reference to an old state stays valid. It is part of
     ``state_dict``.
     """
 
     def __init__(self, in_keys: Sequence[NestedKey], out_key: NestedKey = BASE_ACTION) -> None:
         super().__init__(in_keys, out_key)
         self.state: State | None = None
+        self._fresh: Tensor | None = None  # slots whose episode has not begun, bool [*batch]
 
     @abstractmethod
     def initial_state(self, tensordict: TensorDictBase) -> State:
-        """Return the state at the start of an episode, each tensor ``[*batch, ...]``."""
+        """Return the state at the start of an episode, tensors ``[*batch, ...]``."""
 
     def state_for(self, tensordict: TensorDictBase) -> State:
-        """Return the state, allocated for the batch size of ``tensordict`` if need be."""
-        state = self.state
-        batch = tensordict.batch_size
-        if state is None or next(iter(state.values())).shape[: len(batch)] != batch:
-            state = self.state = self.initial_state(tensordict)
-        return state
+        """Return the state of every slot; the initial one where an episode starts."""
+        batch, fresh = tensordict.batch_size, self._fresh
+        new = self.state is None or (fresh is not None and fresh.shape != batch)
+        if new:
+            fresh = torch.ones(batch, dtype=torch.bool, device=tensordict.device)
+        if fresh is not None and fresh.any():
+            start = self.initial_state(tensordict)
+            # A copy even of a whole batch: an environment may change its tensors in place.
+            self.state = merge(fresh, start, start if new else self.state)
+            self._fresh = torch.zeros_like(fresh)
+        assert self.state is not None
+        return self.state
 
     def reset_state(self, mask: Tensor | None) -> None:
-        """Forget the slots where ``mask`` is True (None: all)."""
+        """Forget the slots where ``mask`` (bool ``[*batch]``) is True; None: all."""
         if mask is None or self.state is None:
-            self.state = None
+            self.state = self._fresh = None
         else:
-            fresh = {name: torch.zeros_like(value) for name, value in self.state.items()}
-            self.state = _merge(mask, fresh, self.state)
+            self._fresh = mask if self._fresh is None else self._fresh | mask
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return the state for ``state_dict``."""
-        return {} if self.state is None else dict(self.state)
+        return {"state": self.state, "fresh": self._fresh}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Take the state from a ``state_dict``."""
-        self.state = dict(state) or None
-
-
-def _merge(mask: Tensor, where_true: State, where_false: State) -> State:
-    return {
-        name: torch.where(mask.reshape(mask.shape + (1,) * (value.ndim - mask.ndim)), value, other)
-        for (name, value), other in zip(where_true.items(), where_false.values(), strict=True)
-    }
+        self.state, self._fresh = state["state"], state["fresh"]

@@ -9,14 +9,14 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 
 from rrl.checks import per_dimension
-from rrl.controllers._checks import check_same_shape
 from rrl.controllers.base import State, StatefulController
+from rrl.controllers.proportional import ProportionalController
 from rrl.keys import BASE_ACTION
 
 __all__ = ["PIDController"]
 
 
-class PIDController(StatefulController):
+class PIDController(ProportionalController, StatefulController):
     """Cartesian PID control.
 
     With the error e = x_g - x the action is
@@ -25,24 +25,23 @@ class PIDController(StatefulController):
 
     In an episode's first step the derivative is zero. The integral stands still in a dimension
     whose action is clipped and would be driven further out (anti-windup by conditional
-    integration).
+    integration), and wherever the error is not finite.
 
     Args:
-        position_key: Position x, ``[*batch, n]`` in metres.
-        goal_key: Goal x_g, ``[*batch, n]`` in metres, same frame.
-        gain: K, a number or one a dimension.
-        integral_gain: K_i in 1/s, a number or one a dimension.
-        derivative_gain: K_d in s, a number or one a dimension.
-        time_step: dt, the control step in seconds, positive.
-        clip: Largest magnitude of the action, a number or one a dimension, positive; None: no
-            clipping.
-        unit: Metres that one unit of the action stands for.
+        position_key: Position x, ``[*batch, n]`` [m].
+        goal_key: Goal x_g, ``[*batch, n]`` [m], in the same frame.
+        gain: K, a number or one for each dimension.
+        integral_gain: K_i, a number or one for each dimension [1/s].
+        derivative_gain: K_d, a number or one for each dimension [s].
+        time_step: dt, the control step, positive [s].
+        clip: Largest magnitude of the action, a number or one for each dimension, positive; None:
+            no clipping.
+        unit: Length that one unit of the action stands for, positive [m].
         out_key: Where the action ``[*batch, n]`` goes.
 
     Raises:
         ValueError: If a gain is not finite, or ``clip``, ``unit`` or ``time_step`` is not positive.
         KeyError: When run, if position or goal is missing.
-
     """
 
     def __init__(
@@ -57,50 +56,36 @@ class PIDController(StatefulController):
         unit: float = 1.0,
         out_key: NestedKey = BASE_ACTION,
     ) -> None:
-        super().__init__([position_key, goal_key], out_key)
-        self.position_key = position_key
-        self.goal_key = goal_key
-        scale = per_dimension("unit", unit, positive=True)
+        super().__init__(position_key, goal_key, gain, clip, unit, out_key)
         step = per_dimension("time_step", time_step, positive=True)
-        self.register_buffer("_gain", per_dimension("gain", gain) / scale)
-        integral = per_dimension("integral_gain", integral_gain)
-        self.register_buffer("_integral_gain", integral * step / scale)
-        derivative = per_dimension("derivative_gain", derivative_gain)
-        self.register_buffer("_derivative_gain", derivative / step / scale)
-        limit = torch.inf if clip is None else per_dimension("clip", clip, positive=True)
-        self.register_buffer("_limit", torch.as_tensor(limit))
+        integral = per_dimension("integral_gain", integral_gain) * step / unit
+        derivative = per_dimension("derivative_gain", derivative_gain) / step / unit
+        self.register_buffer("_integral_gain", integral)
+        self.register_buffer("_derivative_gain", derivative)
 
     def initial_state(self, tensordict: TensorDictBase) -> State:
         """Return sum of errors, last error (both ``[*batch, n]``) and whether there was one."""
-        zeros = torch.zeros_like(self.read(tensordict, self.position_key))
-        seen = torch.zeros_like(zeros[..., :1], dtype=torch.bool)
-        return {"error_sum": zeros, "last_error": zeros, "seen": seen}
+        zeros = torch.zeros_like(self.error(tensordict))
+        return {
+            "error_sum": zeros,
+            "last_error": zeros,
+            "seen": torch.zeros_like(zeros, dtype=torch.bool),
+        }
 
     def act(self, tensordict: TensorDictBase) -> Tensor:
-        """Return the clipped action ``[*batch, n]`` and advances the memory by one control step."""
-        position = self.read(tensordict, self.position_key)
-        goal = self.read(tensordict, self.goal_key)
-        check_same_shape(
-            self,
-            position,
-            goal,
-            self._gain,
-            self._integral_gain,
-            self._derivative_gain,
-            self._limit,
-        )
-        state = self.state_for(tensordict)
-        error = goal - position
-        error_sum = state["error_sum"] + error
+        """Return the clipped action ``[*batch, n]`` and advance the memory by one control step."""
+        state, error = self.state_for(tensordict), self.error(tensordict)
+        gains = self._gain, self._integral_gain, self._derivative_gain
+        gain, integral_gain, derivative_gain = (value.to(error.dtype) for value in gains)
+        total = state["error_sum"] + error
         change = torch.where(state["seen"], error - state["last_error"], 0.0)
-        action = (
-            error * self._gain + error_sum * self._integral_gain + change * self._derivative_gain
-        )
-        clipped = torch.clamp(action, -self._limit, self._limit)
-        winds_up = (action != clipped) & (action * error * self._integral_gain > 0)
+        action = error * gain + total * integral_gain + change * derivative_gain
+        clipped = self.clipped(action)
+        known = error.isfinite()
+        winds_up = (action != clipped) & (action * error * integral_gain > 0)
         self.state = {
-            "error_sum": torch.where(winds_up, state["error_sum"], error_sum),
-            "last_error": error,
-            "seen": torch.ones_like(state["seen"]),
+            "error_sum": torch.where(winds_up | ~known, state["error_sum"], total),
+            "last_error": torch.where(known, error, state["last_error"]),
+            "seen": state["seen"] | known,
         }
         return clipped

@@ -23,24 +23,23 @@ class PolicyController(Controller):
 
     It is what the paper's figure 5 needs: a policy from simulation under a residual. The policy is
     copied when the controller is built. It runs without gradient, without exploration and in
-    evaluation mode, whatever mode its surroundings are in, and sees its own keys only; of what it
-    writes only the action is used.
+    evaluation mode, whatever mode its surroundings are in. It sees its own keys only, in its own
+    precision; of what it writes only the action is used.
 
     Args:
         policy: A module from and to a TensorDict, with ``in_keys`` and ``out_keys``.
         checkpoint: File with the policy's ``state_dict``, written by ``torch.save``.
         key_map: Policy's key -> environment's key, for keys that are named differently.
-        action_key: What the policy calls its action, ``[*batch, n_act]``.
+        action_key: The policy's name of its action, ``[*batch, n_act]``.
         out_key: Where the action goes.
 
     Raises:
-        TypeError: If the policy is not a module with in_keys and out_keys.
+        TypeError: If the policy is not a module with ``in_keys`` and ``out_keys``.
         ValueError: If ``key_map`` names a key that the policy does not read.
         KeyError: If the policy does not write ``action_key``; when run, if an observation is
             missing.
         FileNotFoundError: If there is no such checkpoint.
         RuntimeError: If the checkpoint does not fit the policy.
-
     """
 
     def __init__(
@@ -53,20 +52,20 @@ class PolicyController(Controller):
     ) -> None:
         if not isinstance(policy, nn.Module) or not hasattr(policy, "in_keys"):
             raise TypeError(
-                "A TensorDict module with in_keys and out_keys was expected as the policy, got "
-                f"{type(policy).__name__}. Wrap a plain function or network in a TensorDictModule."
+                "policy: expected a TensorDict module with in_keys and out_keys, got a "
+                f"{type(policy).__name__}; wrap a function or network in a TensorDictModule"
             )
-        self._policy_keys = [unravel_key(key) for key in _keys_of(policy, "in_keys")]
-        written = [unravel_key(key) for key in _keys_of(policy, "out_keys")]
-        key_map = {unravel_key(k): unravel_key(v) for k, v in (key_map or {}).items()}
-        unknown = [key for key in key_map if key not in self._policy_keys]
-        if unknown:
+        self._policy_keys = _keys_of(policy, "in_keys")
+        names = {unravel_key(k): unravel_key(v) for k, v in (key_map or {}).items()}
+        if unknown := [key for key in names if key not in self._policy_keys]:
             raise ValueError(
-                f"key_map names {unknown}, which the policy does not read; it reads {self._policy_keys}."
+                f"key_map: expected keys that the policy reads, of {self._policy_keys}, "
+                f"got {unknown}"
             )
+        written = _keys_of(policy, "out_keys")
         if unravel_key(action_key) not in written:
-            raise KeyError(f"The policy does not write {action_key!r}; it writes {written}.")
-        super().__init__([key_map.get(key, key) for key in self._policy_keys], out_key)
+            raise KeyError(f"action_key: expected one of {written}, got {action_key!r}")
+        super().__init__([names.get(key, key) for key in self._policy_keys], out_key)
         self.action_key = action_key
         self.policy = copy.deepcopy(policy)
         if checkpoint is not None:
@@ -77,8 +76,12 @@ class PolicyController(Controller):
     def act(self, tensordict: TensorDictBase) -> Tensor:
         """Return the policy's deterministic action ``[*batch, n_act]``."""
         seen = TensorDict({}, batch_size=tensordict.batch_size, device=tensordict.device)
+        weight = next(filter(torch.is_floating_point, self.policy.parameters()), None)
         for policy_key, key in zip(self._policy_keys, self.in_keys, strict=True):
-            seen.set(policy_key, self.read(tensordict, key))
+            value = self.read(tensordict, key)
+            if weight is not None and isinstance(value, Tensor) and value.is_floating_point():
+                value = value.to(weight.dtype)
+            seen.set(policy_key, value)
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             return self.policy(seen).get(self.action_key)
 
@@ -89,9 +92,9 @@ class PolicyController(Controller):
 
 def _load(path: Path) -> dict[str, Any]:
     if not path.is_file():
-        raise FileNotFoundError(f"There is no policy checkpoint at {path}.")
+        raise FileNotFoundError(f"checkpoint: expected a file with a policy's weights, got {path}")
     return torch.load(path, map_location="cpu", weights_only=True)
 
 
 def _keys_of(policy: Any, name: str) -> list[NestedKey]:
-    return list(getattr(policy, name))
+    return [unravel_key(key) for key in getattr(policy, name)]

@@ -8,8 +8,7 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 
-from rrl.checks import per_dimension
-from rrl.controllers._checks import check_same_shape
+from rrl.checks import check_length, per_dimension
 from rrl.controllers.base import Controller
 from rrl.keys import BASE_ACTION
 
@@ -22,18 +21,18 @@ class ProportionalController(Controller):
     It reads the robot's own state and the goal only, nothing of the objects around.
 
     Args:
-        position_key: Position x, ``[*batch, n]`` in metres.
-        goal_key: Goal x_g, ``[*batch, n]`` in metres, same frame.
-        gain: K, a number or one a dimension; 1 commands the whole error in one step.
-        clip: Largest magnitude of the action, a number or one a dimension, positive; None: no
-            clipping.
-        unit: Metres that one unit of the action stands for.
+        position_key: Position x, ``[*batch, n]`` [m].
+        goal_key: Goal x_g, ``[*batch, n]`` [m], in the same frame.
+        gain: K, a number or one for each dimension; 1 commands the whole error in one step.
+        clip: Largest magnitude of the action, a number or one for each dimension, positive; None:
+            no clipping.
+        unit: Length that one unit of the action stands for, positive [m].
         out_key: Where the action ``[*batch, n]`` goes.
 
     Raises:
-        ValueError: If a gain is not finite, or ``clip`` or ``unit`` is not positive.
+        ValueError: If a gain is not finite, ``clip`` or ``unit`` is not positive; when run, if
+            position, goal and parameters do not fit together.
         KeyError: When run, if position or goal is missing.
-
     """
 
     def __init__(
@@ -46,19 +45,33 @@ class ProportionalController(Controller):
         out_key: NestedKey = BASE_ACTION,
     ) -> None:
         super().__init__([position_key, goal_key], out_key)
-        self.position_key = position_key
-        self.goal_key = goal_key
         scale = per_dimension("unit", unit, positive=True)
         self.register_buffer("_gain", per_dimension("gain", gain) / scale)
         limit = None if clip is None else per_dimension("clip", clip, positive=True)
-        self.register_buffer("_high", limit)
-        self.register_buffer("_low", None if limit is None else -limit)
+        self.register_buffer("_clip", limit)
 
     def act(self, tensordict: TensorDictBase) -> Tensor:
         """Return the clipped proportional action ``[*batch, n]``."""
-        position = self.read(tensordict, self.position_key)
-        goal = self.read(tensordict, self.goal_key)
-        gain, low, high = self._gain, self._low, self._high
-        check_same_shape(self, position, goal, gain, gain if high is None else high)
-        action = (goal - position) * gain
-        return action if high is None else torch.clamp(action, low, high)
+        error = self.error(tensordict)
+        return self.clipped(error * self._gain.to(error.dtype))
+
+    def error(self, tensordict: TensorDictBase) -> Tensor:
+        """Return x_g - x, ``[*batch, n]`` [m]."""
+        position, goal = (self.read(tensordict, key) for key in self.in_keys)
+        if position.shape != goal.shape:
+            raise ValueError(
+                f"{self.in_keys[1]!r}: expected the shape of {self.in_keys[0]!r}, "
+                f"{tuple(position.shape)}, got {tuple(goal.shape)}"
+            )
+        for name, value in self.named_buffers(recurse=False):
+            check_length(
+                name.strip("_"), value, position.shape[-1:].numel(), f"{self.in_keys[0]!r}"
+            )
+        return goal - position
+
+    def clipped(self, action: Tensor) -> Tensor:
+        """Return ``action`` within the limits of this controller."""
+        if self._clip is None:
+            return action
+        limit = self._clip.to(action.dtype)
+        return torch.clamp(action, -limit, limit)

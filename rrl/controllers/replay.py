@@ -8,16 +8,15 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 
+from rrl.checks import check
 from rrl.controllers.base import State, StatefulController
 from rrl.keys import BASE_ACTION
 
 __all__ = ["ReplayController"]
 
-_AFTER_END = ("hold", "zero")
-
 
 class ReplayController(StatefulController):
-    """Plays a sequence of actions open loop, from its start in every episode.
+    """A sequence of actions played open loop, from its start in every episode.
 
     Args:
         actions: ``[T, n_act]``; the first is given with the observation of the reset.
@@ -27,7 +26,6 @@ class ReplayController(StatefulController):
     Raises:
         ValueError: If the sequence is empty, not two-dimensional or not finite, or ``after_end`` is
             unknown.
-
     """
 
     def __init__(
@@ -37,18 +35,16 @@ class ReplayController(StatefulController):
         out_key: NestedKey = BASE_ACTION,
     ) -> None:
         super().__init__([], out_key)
-        tensor = torch.as_tensor(actions, dtype=torch.float32).detach().clone()
-        if tensor.ndim != 2 or tensor.numel() == 0:
-            raise ValueError(
-                f"actions must have the shape [T, n_act], none of them 0, got {tuple(tensor.shape)}."
-            )
-        if not tensor.isfinite().all():
-            raise ValueError("actions must be finite; the sequence holds NaN or infinity.")
-        if after_end not in _AFTER_END:
-            raise ValueError(f"after_end must be one of {_AFTER_END}, got {after_end!r}.")
+        sequence = torch.as_tensor(actions).detach().clone()
+        if not sequence.is_floating_point():
+            sequence = sequence.to(torch.get_default_dtype())
+        is_sequence = sequence.ndim == 2 and sequence.numel() > 0
+        check("actions", list(sequence.shape), "the shape [T, n_act], none of them 0", is_sequence)
+        check("actions", "NaN or infinity", "finite numbers", bool(sequence.isfinite().all()))
+        check("after_end", after_end, "'hold' or 'zero'", after_end in ("hold", "zero"))
         if after_end == "zero":
-            tensor = torch.cat([tensor, torch.zeros_like(tensor[:1])])
-        self.register_buffer("actions", tensor)  # (T, n_act), or (T + 1, n_act) with the zeros
+            sequence = torch.cat([sequence, torch.zeros_like(sequence[:1])])
+        self.register_buffer("actions", sequence)  # (T, n_act), or (T + 1, n_act) with the zeros
 
     def initial_state(self, tensordict: TensorDictBase) -> State:
         """Return the index of the next action, int64 ``[*batch]``."""

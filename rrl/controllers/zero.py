@@ -6,6 +6,7 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 
+from rrl.checks import check_whole
 from rrl.controllers.base import Controller
 from rrl.keys import BASE_ACTION
 
@@ -13,24 +14,23 @@ __all__ = ["ZeroController"]
 
 
 class ZeroController(Controller):
-    """Does nothing: with it the policy is alone (the paper's baseline "RL only").
+    """A controller that does nothing: the policy is alone (the paper's baseline "RL only").
 
     Args:
         action_size: Length n_act of the action; None: that of the environment, which
-            :class:`~rrl.transforms.ResidualAction` says.
+            :class:`~rrl.transforms.ResidualAction` tells it.
         out_key: Where the zeros ``[*batch, n_act]`` go.
 
     Raises:
         ValueError: If ``action_size`` is not positive.
-        RuntimeError: When run, if nobody said the action's size.
-
+        RuntimeError: When run, if the action's size is not known.
     """
 
     def __init__(self, action_size: int | None = None, out_key: NestedKey = BASE_ACTION) -> None:
-        if action_size is not None and action_size < 1:
-            raise ValueError(f"action_size must be at least 1, got {action_size}.")
         super().__init__([], out_key)
-        self.action_size = action_size
+        self.action_size = (
+            None if action_size is None else check_whole("action_size", action_size, 1)
+        )
 
     def fit(self, action_size: int) -> None:
         """Take the environment's action size, unless one was given."""
@@ -40,6 +40,6 @@ class ZeroController(Controller):
         """Return zeros ``[*batch, n_act]``."""
         if self.action_size is None:
             raise RuntimeError(
-                "ZeroController has no environment to take the action's size from: pass action_size."
+                "action_size: expected a number or an environment to take it from, got neither"
             )
         return torch.zeros((*tensordict.batch_size, self.action_size), device=tensordict.device)

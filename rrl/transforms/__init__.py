@@ -1,21 +1,20 @@
-"""Transforms for any TorchRL environment: residual action, disturbances, sensing faults, memory, safety limits."""
+"""Transforms for any TorchRL environment: residual, disturbance, sensing faults, safety limits."""
 
 from rrl.transforms.action_history import ActionHistory
 from rrl.transforms.control_noise import ControlNoise
 from rrl.transforms.residual_action import ResidualAction
-from rrl.transforms.safety.force_limit import ForceLimit
-from rrl.transforms.safety.step_limit import StepLimit
-from rrl.transforms.safety.workspace_limit import WorkspaceLimit
-from rrl.transforms.sensing.observation_latency import ObservationLatency
-from rrl.transforms.sensing.observation_noise import ObservationNoise
+from rrl.transforms.safety import FiniteAction, ForceLimit, SafetyLimit, StepLimit, WorkspaceLimit
+from rrl.transforms.sensing import ObservationLatency, ObservationNoise
 
 __all__ = [
     "ActionHistory",
     "ControlNoise",
+    "FiniteAction",
     "ForceLimit",
     "ObservationLatency",
     "ObservationNoise",
     "ResidualAction",
+    "SafetyLimit",
     "StepLimit",
     "WorkspaceLimit",
 ]

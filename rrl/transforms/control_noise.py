@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDictBase, unravel_key
 from torch import Tensor
-from torchrl.data import Composite, Unbounded
+from torchrl.data import Composite
 
 from rrl.checks import check_length, per_dimension
 from rrl.keys import ACTION, EXECUTED_ACTION
-from rrl.transforms.action import ActionTransform, sibling
-from rrl.transforms.action_bounds import ActionLimits
-from rrl.transforms.base import RandomTransform
-from rrl.transforms.masks import merge, reset_mask, step_mask
+from rrl.slot_masks import step_mask
+from rrl.transforms.base import (
+    ActionLimits,
+    ActionTransform,
+    Mask,
+    Memory,
+    RandomTransform,
+    sibling,
+)
 
 __all__ = ["ControlNoise"]
 
 
 class ControlNoise(ActionTransform, RandomTransform):
-    r"""Adds bias and noise to the action that reaches the environment.
+    r"""Bias and noise on the action that reaches the environment.
 
     This is the paper's :math:`u' = u + N(\mu, \sigma^2)`, drawn anew for every step and dimension,
     in half ranges of the action, and clipped to its bounds:
@@ -37,21 +41,20 @@ class ControlNoise(ActionTransform, RandomTransform):
     env -> policy: writes ``executed_action_key``, ``[*batch, n_act]`` in the environment's units.
 
     Args:
-        mu: Bias in half ranges of the action, a number or one a dimension.
-        sigma: Standard deviation in half ranges, a number or one a dimension, not negative.
+        mu: Bias in half ranges of the action, a number or one for each dimension.
+        sigma: Standard deviation in half ranges, a number or one for each dimension, not negative.
         seed: Seed of slot 0, slot i uses ``seed + i``. None: from torch's global generator at every
-            reset of all slots. Workers of a ``ParallelEnv`` want None, or they all draw the same.
+            reset of all slots. Workers of a ``ParallelEnv`` need None, or they all draw the same.
         executed_action_key: Default: "executed_action" at the level of ``action_key``.
         action_key: The action ``[*batch, n_act]``; may be nested.
 
     Raises:
-        ValueError: If sigma is negative, a value is not finite, or lists do not have the action's
-            length.
+        ValueError: If sigma is negative, a value is not finite, or a list does not have the
+            action's length.
         TypeError: If the action is not continuous.
         KeyError: If the action is missing.
         RuntimeError: If actions pass the inverse without an environment, as in
             ``ReplayBuffer.extend``.
-
     """
 
     def __init__(
@@ -62,30 +65,26 @@ class ControlNoise(ActionTransform, RandomTransform):
         executed_action_key: NestedKey | None = None,
         action_key: NestedKey = ACTION,
     ) -> None:
-        action_key = unravel_key(action_key)
         executed_key = unravel_key(executed_action_key or sibling(action_key, EXECUTED_ACTION))
         super().__init__(
+            action_key=action_key,
             seed=seed,
-            stream=f"ControlNoise/{action_key}",
+            stream=f"ControlNoise/{unravel_key(action_key)}",
             out_keys=[executed_key],
-            in_keys_inv=[action_key],
-            out_keys_inv=[action_key],
         )
-        self._action_key = action_key
         self._executed_key = executed_key
         self.mu = per_dimension("mu", mu)
         self.sigma = per_dimension("sigma", sigma, minimum=0.0)
         self._noisy = bool((self.sigma != 0).any())
         self._active = self._noisy or bool((self.mu != 0).any())
-        self._scaled: tuple[Tensor, Tensor] | None = None
-        self._executed: Tensor | None = None
+        self._scaled: tuple[Tensor, Tensor] | None = None  # mu and sigma in action units
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        limits = self._limits or self.limits()
-        action = self.require(tensordict, self._action_key)
+        limits = self.limits()
+        action = self.action(tensordict)
         if self._active:
             action = self._disturb(action, limits, tensordict)
-            tensordict.set(self._action_key, action)
+        tensordict.set(self._action_key, action)
         return tensordict.set(self._executed_key, action)
 
     def _disturb(self, action: Tensor, limits: ActionLimits, tensordict: TensorDictBase) -> Tensor:
@@ -101,61 +100,24 @@ class ControlNoise(ActionTransform, RandomTransform):
         return torch.clamp(disturbed, limits.low, limits.high)
 
     def _scale(self, limits: ActionLimits) -> tuple[Tensor, Tensor]:
-        check_length("mu", self.mu, limits.shape[-1], "the action")
-        check_length("sigma", self.sigma, limits.shape[-1], "the action")
-        self._scaled = (
-            self.mu.to(limits.half_range) * limits.half_range,
-            self.sigma.to(limits.half_range) * limits.half_range,
-        )
+        for name, value in (("mu", self.mu), ("sigma", self.sigma)):
+            check_length(name, value, limits.shape[-1], "the action")
+        unit = limits.half_range
+        self._scaled = self.mu.to(unit) * unit, self.sigma.to(unit) * unit
         return self._scaled
 
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        self._executed = tensordict.get(self._executed_key)
-        return next_tensordict.set(self._executed_key, self._executed)
+    def _take_limits(self, action_spec: Composite) -> ActionLimits:
+        self._scaled = None
+        return super()._take_limits(action_spec)
 
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        batch = tensordict_reset.batch_size
-        mask = reset_mask(tensordict, batch)
-        self.start_episodes(batch, mask)
-        limits = self._limits or self.limits()
-        executed = torch.zeros(limits.shape, dtype=limits.dtype, device=limits.low.device)
-        if mask is not None and self._executed is not None:
-            executed = merge(mask, executed, self._executed)
-        self._executed = executed
-        return tensordict_reset.set(self._executed_key, executed)
+    def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
+        return {"executed": torch.zeros_like(self.limits().low)}
 
-    def _reset_on_native_autoreset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        # An environment that reset itself within a step is reset by mask like any other.
-        return self._reset(tensordict, tensordict_reset)
-
-    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return next_tensordict
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Leave data outside an environment alone: there is no action on its way to anywhere."""
-        return tensordict
+    def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
+        return {"executed": td.get(self._executed_key)}
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the executed action, in the environment's action units."""
-        if self._executed_key in observation_spec.keys(True, True):
-            raise ValueError(
-                f"The observations hold {self._executed_key!r} already. Pass another executed_action_key."
-            )
-        limits = self.limits()
-        observation_spec[self._executed_key] = Unbounded(
-            shape=limits.shape, device=limits.low.device, dtype=limits.dtype
+        return self.add_spec(
+            observation_spec, self._executed_key, self.action_like(), "executed_action_key"
         )
-        return observation_spec
-
-    def transform_action_spec(self, action_spec: Composite) -> Composite:
-        """Leave the action's spec as it is and remember its bounds."""
-        self._take_limits(action_spec)
-        return action_spec
-
-    def _take_limits(self, action_spec: Any) -> ActionLimits:
-        self._scaled = None
-        return super()._take_limits(action_spec)

@@ -95,10 +95,10 @@ def test_seed_starts_anew() -> None:
 
 @pytest.mark.parametrize("seed", [0.5, "1", True])
 def test_bad_seed(seed) -> None:
-    with pytest.raises(TypeError, match="seed must be an integer or None"):
+    with pytest.raises(TypeError, match="seed: expected an integer or None"):
         SlotGenerators(seed, 1)
 
 
 def test_bad_number_of_slots() -> None:
-    with pytest.raises(ValueError, match="num_slots must be at least 1"):
+    with pytest.raises(ValueError, match="num_slots: expected"):
         SlotGenerators(0, 0)

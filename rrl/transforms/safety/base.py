@@ -1,57 +1,47 @@
-"""What the safety limits share: the last word on an action, and the record of when they had to say it."""
+"""The base of the safety limits: the last word on an action, and a record of when it was needed."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any
+from collections.abc import Iterable
 
 import torch
-from tensordict import NestedKey, TensorDictBase, unravel_key
+from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Composite
 
+from rrl.checks import require
 from rrl.keys import EXECUTED_ACTION, SAFETY
-from rrl.transforms.action import ActionTransform, sibling
-from rrl.transforms.action_bounds import ActionLimits
-from rrl.transforms.base import SlotTransform
-from rrl.transforms.masks import merge, reset_mask, step_mask
+from rrl.transforms.base import ActionLimits, ActionTransform, Mask, Memory, sibling
 
 __all__ = ["SafetyLimit"]
 
 
-class SafetyLimit(ActionTransform, SlotTransform):
+class SafetyLimit(ActionTransform):
     """Base of the transforms that change an action which is not safe.
 
-    In a list it stands before the disturbance and the residual: actions run from last to first, so it sees
-    what would reach the environment, whoever asked for it. Of several, the first in the list has the last word;
-    the order workspace, force, step keeps the box whatever the others do. A subclass says what it remembers of an
-    observation (:meth:`measure`) and what it makes of an action (:meth:`limit`). The measurement is taken
-    at the transform's place in the list, before sensing faults and normalisation.
+    In a list it stands before the disturbance and the residual: actions run from last to first, so
+    it sees what would reach the environment, whoever asked for it. Of several, the first in the
+    list has the last word; the order workspace, force, step keeps the box whatever the others do. A
+    subclass says what it remembers of an observation (:meth:`measure`), what it makes of an action
+    (:meth:`limit`), and what is safe if one of the two is NaN or infinite (:meth:`hold`). The
+    measurement is taken at the transform's place in the list, before sensing faults and
+    normalisation.
 
     policy -> env: reads and writes ``action_key``; corrects "executed_action" where it is recorded.
-    env -> policy: reads ``in_keys``, writes ("safety", name), bool ``[*batch, 1]``: whether this step's action
-    violated the limit and was changed. False at a reset.
+    env -> policy: reads ``in_keys``, writes ("safety", name), bool ``[*batch, 1]``: whether this
+    step's action violated the limit and was changed. False at a reset.
 
     Args:
         name: Names the entry below "safety".
         in_keys: Observations that :meth:`measure` reads.
         action_key: The action ``[*batch, n_act]`` in the environment's units; may be nested.
-
     """
 
     def __init__(self, name: str, in_keys: list[NestedKey], action_key: NestedKey) -> None:
-        action_key = unravel_key(action_key)
-        self._flag_key = unravel_key((sibling(action_key, SAFETY), name))
+        self._flag_key = sibling(action_key, (SAFETY, name))
         self._executed_key = sibling(action_key, EXECUTED_ACTION)
-        super().__init__(
-            in_keys=in_keys,
-            out_keys=[self._flag_key],
-            in_keys_inv=[action_key],
-            out_keys_inv=[action_key],
-        )
-        self._action_key = action_key
-        self._flag: Tensor | None = None
-        self._measured: Tensor | None = None
+        super().__init__(action_key=action_key, in_keys=in_keys, out_keys=[self._flag_key])
 
     @abstractmethod
     def measure(self, tensordict: TensorDictBase, action: Tensor) -> Tensor:
@@ -60,92 +50,78 @@ class SafetyLimit(ActionTransform, SlotTransform):
         Args:
             tensordict: Observations at the transform's place.
             action: The action that led to them, ``[*batch, n_act]``; zeros at a reset.
-
         """
 
     @abstractmethod
     def limit(self, action: Tensor, measured: Tensor, limits: ActionLimits) -> Tensor:
-        """Return the safe action ``[*batch, n_act]``, equal to ``action`` bit for bit where that is safe."""
+        """Return the safe action ``[*batch, n_act]``.
+
+        It equals ``action`` bit for bit where that is safe.
+        """
+
+    def hold(self, tensordict: TensorDictBase, measured: Tensor) -> Tensor:
+        """Return the action ``[*batch, n_act]`` where command or measurement is not finite.
+
+        By default zeros, which for a displacement is to stay.
+        """
+        return torch.zeros_like(self.limits().low)
+
+    def changed(self, action: Tensor, safe: Tensor) -> Tensor:
+        """Return whether the limit was violated, bool ``[*batch, 1]``."""
+        return (safe != action).any(-1, keepdim=True)
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        limits = self._limits or self.limits()
-        action = self.require(tensordict, self._action_key)
-        if self._measured is None:
-            raise RuntimeError(f"{type(self).__name__} needs a reset before the first step.")
-        safe = torch.clamp(self.limit(action, self._measured, limits), limits.low, limits.high)
-        tensordict.set(self._flag_key, (safe != action).any(-1, keepdim=True))
+        limits, action = self.limits(), self.action(tensordict)
+        measured = self.recall("measured")
+        safe = self.limit(action, measured, limits).to(limits.dtype)
+        known = finite(safe) & finite(measured)
+        if not known.all():
+            safe = torch.where(known, safe, self.hold(tensordict, measured).to(limits.dtype))
+        safe = torch.clamp(safe, limits.low, limits.high)
+        tensordict.set(self._flag_key, self.changed(action, safe))
         if tensordict.get(self._executed_key, None) is not None:
             tensordict.set(self._executed_key, safe)
         return tensordict.set(self._action_key, safe)
 
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        mask = step_mask(tensordict, next_tensordict.batch_size)
-        limits = self._limits or self.limits()
-        action = tensordict.get(self._action_key).to(limits.dtype)
-        return self._remember(next_tensordict, action, tensordict.get(self._flag_key), mask)
+    def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
+        action = torch.zeros_like(self.limits().low)
+        flag = torch.zeros_like(action[..., :1], dtype=torch.bool)
+        return {"measured": self.measure(td, action).clone(), "flag": flag}
 
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        limits = self._limits or self.limits()
-        action = torch.zeros(limits.shape, dtype=limits.dtype, device=limits.low.device)
-        mask = reset_mask(tensordict, tensordict_reset.batch_size)
-        return self._remember(
-            tensordict_reset, action, torch.zeros_like(action[..., :1], dtype=torch.bool), mask
-        )
+    def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
+        # A copy: an environment may change its own tensors in place.
+        measured = self.measure(next_td, self.action(td)).clone()
+        return {"measured": measured, "flag": td.get(self._flag_key)}
 
-    def _reset_on_native_autoreset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        # An environment that reset itself within a step is reset by mask like any other.
-        return self._reset(tensordict, tensordict_reset)
-
-    def _remember(
-        self, tensordict: TensorDictBase, action: Tensor, flag: Tensor, mask: Tensor | None
-    ) -> TensorDictBase:
-        measured = self.measure(tensordict, action)
-        if mask is not None and self._measured is not None and self._flag is not None:
-            measured = merge(mask, measured, self._measured)
-            flag = merge(mask, flag, self._flag)
-        # An environment may change its own tensors in place.
-        self._measured, self._flag = measured.clone(), flag
-        return tensordict.set(self._flag_key, flag)
-
-    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return next_tensordict
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Leave data outside an environment alone: there is no action on its way to anywhere."""
-        return tensordict
+    def _outputs(self) -> Iterable[Tensor]:
+        return [self.memory["flag"]]
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the flag that says whether the last action was changed."""
+        sizes = {}
         for key in self.in_keys:
-            self.require_spec(observation_spec, key)
-        if self._flag_key in observation_spec.keys(True, True):
-            raise ValueError(
-                f"The observations hold {self._flag_key!r} already. Give this limit another name."
-            )
+            spec = require(self, observation_spec, key)
+            if spec.ndim <= observation_spec.ndim:
+                raise ValueError(
+                    f"{key!r}: expected an observation of shape [*batch, n], got "
+                    f"{tuple(spec.shape)} with the batch size {tuple(observation_spec.shape)}"
+                )
+            sizes[key] = spec.shape[-1]
         limits = self.limits()
-        self.check_sizes(observation_spec, limits.shape[-1])
+        self.check_sizes(sizes, limits.shape[-1])
         shape = (*limits.shape[:-1], 1)
-        observation_spec[self._flag_key] = Binary(
-            n=1, shape=shape, dtype=torch.bool, device=limits.low.device
-        )
-        return observation_spec
+        flag = Binary(n=1, shape=shape, dtype=torch.bool, device=limits.low.device)
+        return self.add_spec(observation_spec, self._flag_key, flag, "name of the limit")
 
-    def check_sizes(self, observation_spec: Composite, action_size: int) -> None:
-        """Raise a ValueError if parameters, observations and action do not fit together."""
+    def check_sizes(self, sizes: dict[NestedKey, int], action_size: int) -> None:
+        """Raise a ValueError if parameters, observations and action do not fit together.
 
-    def transform_action_spec(self, action_spec: Composite) -> Composite:
-        """Leave the action's spec as it is and remember its bounds."""
-        self._take_limits(action_spec)
-        return action_spec
+        Args:
+            sizes: Length of each observation in ``in_keys``.
+            action_size: Length of the action.
+        """
 
-    def get_extra_state(self) -> dict[str, Any]:
-        """Return last measurement and flag for ``state_dict``."""
-        return {"measured": self._measured, "flag": self._flag}
 
-    def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Take measurement and flag from a ``state_dict``."""
-        self._measured, self._flag = state["measured"], state["flag"]
+def finite(values: Tensor) -> Tensor:
+    """Return whether all numbers of a slot are finite, bool ``[*batch, 1]``."""
+    return values.isfinite().all(-1, keepdim=True)

@@ -1,1 +1,6 @@
-"""Faults of sensing: noise, latency."""
+"""Faults of a sensor, such as the camera tracker's."""
+
+from rrl.transforms.sensing.observation_latency import ObservationLatency
+from rrl.transforms.sensing.observation_noise import ObservationNoise
+
+__all__ = ["ObservationLatency", "ObservationNoise"]

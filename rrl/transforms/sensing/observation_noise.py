@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
-from torchrl.data import Composite
+from torchrl.data import Composite, Unbounded
 
-from rrl.checks import check_length, per_dimension
-from rrl.transforms.action_bounds import unbounded_like
-from rrl.transforms.base import RandomTransform
-from rrl.transforms.masks import merge, reset_mask, step_mask
+from rrl.checks import check_keys, check_length, per_dimension, require
+from rrl.transforms.base import Mask, Memory, RandomTransform
 
 __all__ = ["ObservationNoise"]
 
 
 class ObservationNoise(RandomTransform):
-    """Adds a constant bias and Gaussian noise to observations.
+    """A constant bias and Gaussian noise on observations.
 
         o' = o + bias + sigma * z,  z ~ N(0, 1).
 
@@ -29,11 +26,11 @@ class ObservationNoise(RandomTransform):
 
     Args:
         in_keys: Observations ``[*batch, n]``; may be nested.
-        sigma: Standard deviation in the observation's unit, a number or one an element, not
+        sigma: Standard deviation in the observation's unit, a number or one for each element, not
             negative.
-        bias: In the observation's unit, a number or one an element.
+        bias: In the observation's unit, a number or one for each element.
         seed: Seed of slot 0, slot i uses ``seed + i``. None: from torch's global generator at every
-            reset of all slots. Workers of a ``ParallelEnv`` want None, or they all draw the same.
+            reset of all slots. Workers of a ``ParallelEnv`` need None, or they all draw the same.
         out_keys: Where the noisy observations go; default: ``in_keys``.
 
     Raises:
@@ -41,7 +38,6 @@ class ObservationNoise(RandomTransform):
             or a list does not have the observation's length.
         TypeError: If an observation is not floating point.
         KeyError: If an observation is missing.
-
     """
 
     def __init__(
@@ -58,75 +54,59 @@ class ObservationNoise(RandomTransform):
             in_keys=in_keys,
             out_keys=in_keys if out_keys is None else out_keys,
         )
-        self.check_key_pairs()
+        check_keys(self, self.in_keys, self.out_keys)
         self.sigma = per_dimension("sigma", sigma, minimum=0.0)
         self.bias = per_dimension("bias", bias)
         self._noisy = bool((self.sigma != 0).any())
-        self._last: list[Tensor] | None = None
 
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        batch = tensordict_reset.batch_size
-        mask = reset_mask(tensordict, batch)
-        self.start_episodes(batch, mask)
-        for key in self.in_keys:
-            self._check_lengths(key, self.require(tensordict_reset, key).shape)
-        return self._observe(tensordict_reset, mask)
+    def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
+        return self._observe(td, mask)
 
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        mask = step_mask(tensordict, next_tensordict.batch_size)
-        return self._observe(next_tensordict, mask)
+    def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
+        return self._observe(next_td, mask)
 
-    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return self._observe(next_tensordict, None)
+    def resets_itself(self) -> bool:
+        """Return False: the first observation of an episode is as noisy as the others."""
+        return False
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Add noise outside an environment; in a replay buffer it is drawn anew for each sample."""
-        self._last = None
-        return self._observe(tensordict, None)
-
-    def _observe(self, tensordict: TensorDictBase, mask: Tensor | None) -> TensorDictBase:
-        last = self._last
-        current = []
-        for number, (in_key, out_key) in enumerate(zip(self.in_keys, self.out_keys, strict=True)):
-            value = self._disturb(self.require(tensordict, in_key), tensordict.batch_size, mask)
-            if mask is not None and last is not None:
-                value = merge(mask, value, last[number])
-            current.append(value)
-            tensordict.set(out_key, value)
-        self._last = current
+        for key, value in zip(self.out_keys, self._observe(tensordict, None).values(), strict=True):
+            tensordict.set(key, value)
         return tensordict
 
-    def _disturb(self, value: Tensor, batch: torch.Size, mask: Tensor | None) -> Tensor:
-        if self.bias.dtype != value.dtype or self.bias.device != value.device:
-            self.bias, self.sigma = self.bias.to(value), self.sigma.to(value)
-        disturbed = value + self.bias
+    def _observe(self, tensordict: TensorDictBase, mask: Mask) -> Memory:
+        return {
+            str(number): self._disturb(key, require(self, tensordict, key), tensordict, mask)
+            for number, key in enumerate(self.in_keys)
+        }
+
+    def _disturb(
+        self, key: NestedKey, value: Tensor, tensordict: TensorDictBase, mask: Mask
+    ) -> Tensor:
+        batch = tensordict.batch_size
+        shape = value.shape[len(batch) :]
+        self._check_lengths(key, shape)
+        disturbed = value + self.bias.to(value)
         if self._noisy:
-            noise = self.draw_normal(batch, value.shape[len(batch) :], mask).to(value)
+            noise = self.draw_normal(batch, shape, mask).to(value)
             # Separate product and sums: fused ones round differently in different places of a
             # batch.
-            disturbed = disturbed + noise * self.sigma
-        return disturbed
+            disturbed = disturbed + noise * self.sigma.to(value)
+        return disturbed.reshape(value.shape)
 
     def _check_lengths(self, key: NestedKey, shape: torch.Size) -> None:
-        size = shape[-1] if shape else 1
-        check_length("sigma", self.sigma, size, f"the observation {key!r}")
-        check_length("bias", self.bias, size, f"the observation {key!r}")
+        for name, value in (("sigma", self.sigma), ("bias", self.bias)):
+            check_length(name, value, shape[-1:].numel(), f"the observation {key!r}")
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Write the noisy observations' specs, which have no bounds."""
         for in_key, out_key in zip(self.in_keys, self.out_keys, strict=True):
-            spec = self.require_spec(observation_spec, in_key)
-            self._check_lengths(in_key, spec.shape)
-            observation_spec[out_key] = unbounded_like(spec)
+            spec = require(self, observation_spec, in_key)
+            self._check_lengths(in_key, spec.shape[observation_spec.ndim :])
+            if not spec.dtype.is_floating_point:
+                raise TypeError(
+                    f"{in_key!r}: expected a floating point observation, got {spec.dtype}"
+                )
+            observation_spec[out_key] = Unbounded(spec.shape, device=spec.device, dtype=spec.dtype)
         return observation_spec
-
-    def get_extra_state(self) -> dict[str, Any]:
-        """Return generators and last observations for ``state_dict``."""
-        return {**super().get_extra_state(), "last": self._last}
-
-    def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Take generators and last observations from a ``state_dict``."""
-        super().set_extra_state(state)
-        self._last = state["last"]

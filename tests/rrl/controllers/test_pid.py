@@ -92,13 +92,13 @@ def test_state_dict_round_trip() -> None:
 
 @pytest.mark.parametrize("name", ["gain", "integral_gain", "derivative_gain"])
 def test_bad_gains(name: str) -> None:
-    with pytest.raises(ValueError, match=f"{name} must be finite"):
+    with pytest.raises(ValueError, match=f"{name}: expected finite"):
         PIDController(**{name: float("nan")})
 
 
 @pytest.mark.parametrize("name", ["time_step", "clip", "unit"])
 def test_what_must_be_positive(name: str) -> None:
-    with pytest.raises(ValueError, match=f"{name} must be positive"):
+    with pytest.raises(ValueError, match=f"{name}: expected positive"):
         PIDController(**{name: 0.0})
 
 

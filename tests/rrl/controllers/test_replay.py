@@ -58,7 +58,7 @@ def test_bad_shape(actions) -> None:
 
 
 def test_bad_values() -> None:
-    with pytest.raises(ValueError, match="finite"):
+    with pytest.raises(ValueError, match="actions: expected finite"):
         ReplayController([[float("nan")]])
-    with pytest.raises(ValueError, match="after_end must be one of"):
+    with pytest.raises(ValueError, match="after_end: expected 'hold' or 'zero'"):
         ReplayController(ACTIONS, after_end="loop")

@@ -70,9 +70,9 @@ def test_bad_members() -> None:
         SumController([])
     with pytest.raises(TypeError, match=r"got \['Linear'\]"):
         SumController([nn.Linear(2, 2)])
-    with pytest.raises(ValueError, match="2 weights"):
+    with pytest.raises(ValueError, match="weights: expected 1"):
         SumController([ZeroController(2)], weights=[1.0, 1.0])
-    with pytest.raises(ValueError, match="clip must be positive"):
+    with pytest.raises(ValueError, match="clip: expected positive"):
         SumController([ZeroController(2)], clip=0.0)
-    with pytest.raises(ValueError, match="weights must be finite"):
+    with pytest.raises(ValueError, match="weights: expected finite"):
         SumController([ZeroController(2)], weights=[float("inf")])

@@ -26,5 +26,5 @@ def test_bad_size() -> None:
 def test_without_a_size_the_environment_says_it() -> None:
     env = TransformedEnv(PointMass((2,), dim=3), ResidualAction(SumController([ZeroController()])))
     assert torch.equal(env.reset()["base_action"], torch.zeros(2, 3))
-    with pytest.raises(RuntimeError, match="pass action_size"):
+    with pytest.raises(RuntimeError, match="action_size: expected a number or an environment"):
         ZeroController()(TensorDict({}))

@@ -61,10 +61,10 @@ def test_in_front_of_the_superposition_it_holds_the_sum():
 
 @pytest.mark.parametrize("steps", [0, -1, 1.5])
 def test_bad_numbers_of_steps_are_named(steps):
-    with pytest.raises(ValueError, match="steps must be"):
+    with pytest.raises(ValueError, match="steps: expected a whole number of at least 1"):
         ActionHistory(steps)
 
 
 def test_a_name_that_is_taken_is_named():
-    with pytest.raises(ValueError, match="'goal' already"):
+    with pytest.raises(ValueError, match=r"out_key: expected a name .* got 'goal'"):
         make(ActionHistory(out_key="goal")).observation_spec  # noqa: B018 - computing it is the test

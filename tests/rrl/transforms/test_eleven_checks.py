@@ -38,8 +38,11 @@ TIMED = {
     "action_history",
     "residual_history",
 }  # cases that need an order in time
-LIMITS = {"workspace_limit", "step_limit", "force_limit", "safe_residual"}
-RESIDUALS = {"residual", "residual_with_memory", "residual_on_policy", "residual_history", "chain"}
+LIMITS = {"workspace_limit", "step_limit", "force_limit", "finite_action", "safe_residual"}
+RESIDUALS = {
+    *("residual", "residual_with_memory", "residual_with_plan", "residual_on_policy"),
+    *("residual_history", "chain"),
+}
 ON_ACTIONS = {"control_noise"} | RESIDUALS | LIMITS
 OF_STEPS = {
     "executed_action",

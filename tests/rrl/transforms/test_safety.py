@@ -1,4 +1,4 @@
-"""Safety limits hold whatever the policy, the controller and the disturbance ask for, and count what they changed."""
+"""Safety limits hold whatever is asked for, and count what they changed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torchrl.envs.utils import step_mdp
 
 from rrl.envs import InsertionEnv
 from rrl.transforms import ControlNoise, ForceLimit, ResidualAction, StepLimit, WorkspaceLimit
-from rrl.transforms.action_bounds import limits_of
+from rrl.transforms.base import limits_of
 from toy_envs import STEP_SIZE, PointMass
 from transform_cases import POSITION, drive, proportional, random_actions
 
@@ -20,7 +20,7 @@ BOX = {"low": -0.5, "high": [0.5, 0.55]}  # PointMass starts in it
 
 
 def wild(*limits, drift=0.0):
-    """A point under everything that could break a limit: controller, full residual, strong noise."""
+    """A point under controller, full residual and strong noise, which could break a limit."""
     chain = Compose(
         *limits, ControlNoise(mu=0.3, sigma=0.8, seed=0), ResidualAction(proportional())
     )
@@ -146,15 +146,15 @@ def test_an_arm_never_presses_harder_than_the_limit_at_low_speed() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: WorkspaceLimit(0.1, 0.1), "high must be above low"),
-        (lambda: WorkspaceLimit(0.1, 0.3, margin=0.15), "high must be above low"),
-        (lambda: WorkspaceLimit(0.1, 0.3, margin=-0.1), "margin must be at least 0"),
-        (lambda: WorkspaceLimit(0.0, 1.0, unit=0.0), "unit must be positive"),
+        (lambda: WorkspaceLimit(0.1, 0.1), "high: expected numbers above low"),
+        (lambda: WorkspaceLimit(0.1, 0.3, margin=0.15), "high: expected numbers above low"),
+        (lambda: WorkspaceLimit(0.1, 0.3, margin=-0.1), "margin: expected numbers of at least 0"),
+        (lambda: WorkspaceLimit(0.0, 1.0, unit=0.0), "unit: expected positive"),
         (lambda: StepLimit(), "got neither"),
-        (lambda: StepLimit(size=-1.0), "size must be positive"),
-        (lambda: ForceLimit(0.0), "limit must be positive"),
-        (lambda: ForceLimit(1.0, onset=1.0), "onset must be in"),
-        (lambda: ForceLimit(1.0, retract=-0.1), "retract must be at least 0"),
+        (lambda: StepLimit(size=-1.0), "size: expected positive"),
+        (lambda: ForceLimit(0.0), "limit: expected positive"),
+        (lambda: ForceLimit(1.0, onset=1.0), "onset: expected a force in"),
+        (lambda: ForceLimit(1.0, retract=-0.1), "retract: expected numbers of at least 0"),
         (lambda: ForceLimit(1.0, axes=[0, 0]), "different dimensions"),
     ],
 )
@@ -166,9 +166,9 @@ def test_bad_parameters_are_named(make, message) -> None:
 @pytest.mark.parametrize(
     ("limit", "message"),
     [
-        (WorkspaceLimit([0.0] * 3, 1.0), "low has 3 numbers"),
-        (StepLimit(size=[1.0] * 3), "size has 3 numbers"),
-        (ForceLimit(1.0, force_key=POSITION), "axes .0, 1, 2. need a force of 3"),
+        (WorkspaceLimit([0.0] * 3, 1.0), "low: expected one number or 2"),
+        (StepLimit(size=[1.0] * 3), "size: expected one number or 2"),
+        (ForceLimit(1.0, force_key=POSITION), "axes: expected dimensions of a force of 2"),
     ],
 )
 def test_sizes_that_do_not_fit_the_environment(limit, message) -> None:
@@ -180,5 +180,5 @@ def test_a_missing_measurement_and_a_missing_reset_are_named() -> None:
     with pytest.raises(KeyError, match="'wrench'"):
         TransformedEnv(PointMass(), ForceLimit(1.0)).observation_spec  # noqa: B018 - computing it is the test
     env = TransformedEnv(PointMass(), StepLimit(size=0.5))
-    with pytest.raises(RuntimeError, match="needs a reset"):
+    with pytest.raises(RuntimeError, match="expected a reset before the first step"):
         env.step(TensorDict({"action": torch.zeros(2)}))

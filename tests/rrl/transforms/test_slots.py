@@ -9,10 +9,21 @@ import pickle
 import pytest
 import torch
 from torchrl.envs import SerialEnv, TransformedEnv
+from torchrl.envs.transforms import Compose, Transform
 
 from rrl.slot_random import seed_env
-from toy_envs import PointMass
-from transform_cases import CASES, POSITION, assert_same, drive, make_env, random_actions, staggered
+from rrl.transforms import ObservationNoise
+from toy_envs import PointMass, ResetsItself
+from transform_cases import (
+    CASES,
+    POSITION,
+    Factory,
+    assert_same,
+    drive,
+    make_env,
+    random_actions,
+    staggered,
+)
 
 SLOTS = 3
 STEPS = 25
@@ -178,6 +189,42 @@ def test_state_dict_continues_exactly(name: str) -> None:
     again.load_state_dict(torch.load(file, weights_only=True))
     expected = drive(env, actions[5:], start=middle.clone())
     assert_same(drive(again, actions[5:], start=middle), expected)
+
+
+@each_case
+def test_state_dict_continues_exactly_when_some_slots_are_reset(name: str) -> None:
+    """What a slot that goes on shows at a reset of others is remembered, and so must be saved."""
+    actions, resets = random_actions(6, 2, 2), torch.tensor([[True], [False]]).expand(6, 2, 1)
+    env = make_env(CASES[name], (2,), seed=3)
+    middle = drive(env, actions)[-1]["next"].exclude("reward")
+    again = TransformedEnv(copy.deepcopy(env.base_env), CASES[name](99))
+    again.load_state_dict(copy.deepcopy(env.state_dict()))
+    reset = middle.clone().set("_reset", resets[0])
+    assert_same([env.reset(reset.clone())], [again.reset(reset)])
+
+
+def before_a_later_bias(seed: int | None) -> Transform:
+    """Limit and controller measure at their own place, also at the start of an episode."""
+    biases = ObservationNoise([POSITION], bias=0.2), ObservationNoise([POSITION], bias=0.3)
+    limit, controlled = CASES["workspace_limit"](seed), CASES["residual_with_memory"](seed)
+    return Compose(limit, biases[0], CASES["latency"](seed), controlled, biases[1])
+
+
+DRAWS_AT_RESET = {"observation_noise", "observation_noise_beside", "chain"}
+UNDRAWN = {name: factory for name, factory in CASES.items() if name not in DRAWS_AT_RESET}
+
+
+@pytest.mark.parametrize("factory", [*UNDRAWN.values(), before_a_later_bias])
+def test_environment_that_resets_itself_equals_one_that_is_reset(factory: Factory) -> None:
+    """Noise on observations is left out: such an environment has one observation less to draw."""
+    own = TransformedEnv(ResetsItself((2,), episode_steps=5), factory(0))
+    usual = TransformedEnv(PointMass((2,), episode_steps=5), factory(0))
+    one, other = own.reset(), usual.reset()
+    for action in random_actions(17, 2, 2):
+        _, one = own.step_and_maybe_reset(one.set("action", action.clone()))
+        _, other = usual.step_and_maybe_reset(other.set("action", action.clone()))
+        keys = [*usual.observation_spec.keys(True, True)]
+        assert_same([one.select(*keys)], [other.select(*keys)])
 
 
 @each_case

@@ -7,13 +7,13 @@ from typing import NamedTuple
 import torch
 from tensordict import NestedKey
 from torch import Tensor
-from torchrl.data import Bounded, Composite, TensorSpec, Unbounded
+from torchrl.data import Bounded, Composite, TensorSpec
 
-__all__ = ["ActionLimits", "action_leaf", "limits_of", "unbounded_like"]
+__all__ = ["ActionLimits", "action_leaf", "limits_of"]
 
 
 class ActionLimits(NamedTuple):
-    """Bounds of one action entry.
+    """Bounds of one action entry, tensors of the entry's shape.
 
     ``half_range`` is (high - low) / 2, what one normalised action unit stands for. A dimension
     without bounds has the limits -inf and inf and counts as normalised already, with a half range
@@ -33,17 +33,22 @@ def action_leaf(action_spec: Composite, key: NestedKey) -> TensorSpec:
     Raises:
         KeyError: If there is no such action.
         TypeError: If it is not a floating point action.
-
+        ValueError: If it is a number without a dimension of its own.
     """
-    if key not in action_spec.keys(True, True):
-        raise KeyError(
-            f"The environment has no action {key!r}. "
-            f"Available actions: {sorted(map(str, action_spec.keys(True, True)))}."
-        )
+    present = action_spec.keys(True, True)
+    if key not in present:
+        raise KeyError(f"action_key: expected one of {sorted(map(str, present))}, got {key!r}")
     spec = action_spec[key]
     if not spec.dtype.is_floating_point:
         raise TypeError(
-            f"A continuous action was expected at {key!r}, got a {type(spec).__name__} spec of dtype {spec.dtype}."
+            f"{key!r}: expected a continuous action, got a {type(spec).__name__} spec of dtype "
+            f"{spec.dtype}"
+        )
+    batch = tuple(action_spec.shape)
+    if spec.ndim <= len(batch):
+        raise ValueError(
+            f"{key!r}: expected an action of shape [*batch, n], got {tuple(spec.shape)} with the "
+            f"batch size {batch}; give the environment's action a dimension of size 1"
         )
     return spec
 
@@ -62,15 +67,3 @@ def limits_of(spec: TensorSpec) -> ActionLimits:
     half_range = (high - low) / 2
     half_range = torch.where(half_range.isfinite(), half_range, torch.ones_like(half_range))
     return ActionLimits(low, high, half_range, spec.shape, spec.dtype)
-
-
-def unbounded_like(spec: TensorSpec) -> Unbounded:
-    """Return a spec of the same shape, dtype and device without bounds.
-
-    Raises:
-        TypeError: If the spec is not one of floating point numbers.
-
-    """
-    if not spec.dtype.is_floating_point:
-        raise TypeError(f"A floating point observation was expected, got dtype {spec.dtype}.")
-    return Unbounded(shape=spec.shape, dtype=spec.dtype, device=spec.device)

@@ -1,0 +1,94 @@
+"""Transforms that change or watch an action."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tensordict import NestedKey, TensorDictBase, unravel_key
+from torch import Tensor
+from torchrl.data import Composite, Unbounded
+
+from rrl.checks import require
+from rrl.transforms.base.action_bounds import ActionLimits, action_leaf, limits_of
+from rrl.transforms.base.slots import SlotTransform
+
+__all__ = ["ActionTransform", "sibling"]
+
+
+class ActionTransform(SlotTransform):
+    """Base of the transforms that change or watch an action and need its limits at their place.
+
+    Args:
+        action_key: The action ``[*batch, n_act]``; may be nested.
+        keys: Arguments of the next base class: keys, seeds.
+    """
+
+    _limits: ActionLimits | None = None
+
+    def __init__(self, *, action_key: NestedKey, **keys: Any) -> None:
+        key = unravel_key(action_key)
+        super().__init__(in_keys_inv=[key], out_keys_inv=[key], **keys)
+        self._action_key = key
+
+    def limits(self) -> ActionLimits:
+        """Return the limits of the action as the transforms nearer to the environment leave it.
+
+        Raises:
+            RuntimeError: If the transform is not attached to an environment.
+        """
+        if self._limits is not None:
+            return self._limits
+        parent = self.parent
+        if parent is None:
+            raise RuntimeError(
+                f"{type(self).__name__}: expected an action on its way to an environment, but it "
+                "is attached to none; append it to a TransformedEnv (in a replay buffer it would "
+                "change the stored actions a second time)"
+            )
+        return self._take_limits(parent.full_action_spec)
+
+    def _take_limits(self, action_spec: Composite) -> ActionLimits:
+        self._limits = limits_of(action_leaf(action_spec, self._action_key))
+        return self._limits
+
+    def action(self, tensordict: TensorDictBase) -> Tensor:
+        """Return the action ``[*batch, n_act]`` in the environment's precision."""
+        limits = self.limits()
+        return require(self, tensordict, self._action_key).to(limits.dtype)
+
+    def action_like(self, size: int | None = None) -> Unbounded:
+        """Return the spec of an observation of the action's shape, or with ``size`` numbers."""
+        limits = self.limits()
+        shape = limits.shape if size is None else (*limits.shape[:-1], size)
+        return Unbounded(shape=shape, device=limits.low.device, dtype=limits.dtype)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Leave data outside an environment alone: there is no action on its way to anywhere."""
+        return tensordict
+
+    def transform_action_spec(self, action_spec: Composite) -> Composite:
+        """Leave the action's spec as it is and remember its bounds."""
+        self._take_limits(action_spec)
+        return action_spec
+
+    def clone(self) -> ActionTransform:
+        """Return a copy without a parent; it reads its limits anew."""
+        twin = super().clone()
+        twin._limits = None
+        return twin
+
+    def empty_cache(self) -> None:
+        """Forget what was derived from the environment's specs."""
+        super().empty_cache()
+        self._limits = None
+
+    def reset_parent(self) -> None:
+        """Detach the transform from its environment."""
+        super().reset_parent()
+        self._limits = None
+
+
+def sibling(key: NestedKey, name: NestedKey) -> NestedKey:
+    """Return ``name`` at the level of ``key``: ("arm", "action") -> ("arm", name)."""
+    key = unravel_key(key)
+    return unravel_key(name if isinstance(key, str) else (*key[:-1], name))

@@ -1,0 +1,208 @@
+"""Transforms with memory and random numbers for each slot of a batch."""
+
+from __future__ import annotations
+
+import copy
+from abc import abstractmethod
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite, TensorSpec
+from torchrl.envs.transforms import Transform
+
+from rrl.slot_masks import merge, reset_mask, step_mask
+from rrl.slot_random import Seeded, SlotGenerators
+
+__all__ = ["Mask", "Memory", "RandomTransform", "SlotTransform"]
+
+Mask = Tensor | None
+"""Slots, bool ``[*batch]``; None: all of them."""
+
+Memory = dict[str, Tensor]
+"""Tensors ``[*batch, ...]`` by name."""
+
+
+class SlotTransform(Transform):
+    """A transform with memory, held slot by slot.
+
+    A subclass says what a slot remembers when its episode starts (:meth:`_first`) and after a step
+    (:meth:`_advance`). What goes with it is done here: resets and steps of some of the slots,
+    environments that reset themselves within a step, ``state_dict`` and clones.
+
+    ``memory`` is replaced and never changed in place: a clone may start from the same tensors.
+    """
+
+    def __init__(self, **keys: Sequence[NestedKey]) -> None:
+        super().__init__(**keys)
+        self.memory: Memory = {}
+
+    @abstractmethod
+    def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
+        """Return the memory at the start of an episode.
+
+        Args:
+            td: First observations of the episode, at the transform's place in the chain.
+            mask: Slots that start an episode. What is returned for other slots does not count.
+        """
+
+    @abstractmethod
+    def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
+        """Return the memory after a step.
+
+        Args:
+            td: Input of the environment's step, with the executed action.
+            next_td: Its outcome, at the transform's place in the chain.
+            mask: Slots that were stepped. What is returned for other slots does not count.
+        """
+
+    def _outputs(self) -> Iterable[Tensor]:
+        """Return what is written to each of ``out_keys``; by default all that is remembered."""
+        return self.memory.values()
+
+    def recall(self, name: str) -> Tensor:
+        """Return something remembered.
+
+        Raises:
+            RuntimeError: If nothing was remembered yet.
+        """
+        if name in self.memory:
+            return self.memory[name]
+        raise RuntimeError(f"{type(self).__name__}: expected a reset before the first step")
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        mask = reset_mask(tensordict, tensordict_reset.batch_size)
+        return self._remember(tensordict_reset, self._first(tensordict_reset, mask), mask)
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        mask = step_mask(tensordict, next_tensordict.batch_size)
+        memory = self._advance(tensordict, next_tensordict, mask)
+        if self.resets_itself():
+            # Here, not in _reset_on_native_autoreset, which sees what later transforms have made
+            # of the first observations.
+            started = _any_done(next_tensordict)
+            started = started if mask is None else started & mask
+            memory = merge(started, self._first(next_tensordict, started), memory)
+        return self._remember(next_tensordict, memory, mask)
+
+    def _remember(self, tensordict: TensorDictBase, memory: Memory, mask: Mask) -> TensorDictBase:
+        if mask is not None and self.memory:
+            memory = merge(mask, memory, self.memory)
+        self.memory = memory
+        for key, value in zip(self.out_keys, self._outputs(), strict=True):
+            tensordict.set(key, value.clone())  # whoever changes it leaves the memory alone
+        return tensordict
+
+    def resets_itself(self) -> bool:
+        """Return whether the environment starts the next episode within the step that ends one."""
+        env = self.container
+        return env is not None and env.__dict__.get("_torchrl_native_autoreset", False)
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return self.forward(next_tensordict)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Refuse data outside an environment, such as samples of a replay buffer."""
+        raise RuntimeError(
+            f"{type(self).__name__}: expected steps of an environment, got data without an order "
+            "in time; append it to a TransformedEnv"
+        )
+
+    def add_spec(
+        self, observation_spec: Composite, key: NestedKey, spec: TensorSpec, parameter: str
+    ) -> Composite:
+        """Declare a new observation.
+
+        Raises:
+            ValueError: If there is one of that name; the message names the ``parameter`` to change.
+        """
+        if key in observation_spec.keys(True, True):
+            raise ValueError(
+                f"{parameter}: expected a name that no observation has, got {key!r}; pass another"
+            )
+        observation_spec[key] = spec
+        return observation_spec
+
+    def clone(self) -> SlotTransform:
+        """Return a copy without a parent that shares no state with this transform."""
+        twin = super().clone()
+        for name, value in twin.__dict__.items():
+            if isinstance(value, SlotGenerators):
+                twin.__dict__[name] = copy.deepcopy(value)
+        for table in (twin._modules, twin._buffers):
+            for name, value in table.items():
+                table[name] = copy.deepcopy(value)
+        return twin
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """Return the memory for ``state_dict``."""
+        return {"memory": self.memory}
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Take the memory from a ``state_dict``."""
+        self.memory = state["memory"]
+
+
+class RandomTransform(Seeded, SlotTransform):
+    """A slot transform that draws numbers, each slot from its own generator.
+
+    Args:
+        seed: Seed of slot 0; slot i uses ``seed + i``. None: a new seed is drawn from torch's
+            global generator at every reset of all slots, so ``torch.manual_seed`` and
+            ``ParallelEnv.set_seed`` govern it.
+        stream: Name that tells this transform's numbers from those of others with the same seed.
+    """
+
+    def __init__(self, *, seed: int | None, stream: str, **keys: Sequence[NestedKey]) -> None:
+        super().__init__(**keys)
+        self._follows_global_seed = seed is None
+        self._generators = SlotGenerators(seed, 1, stream)
+
+    def seed(self, seed: int | None) -> None:
+        """Start the random numbers anew; see the constructor's ``seed``."""
+        self._follows_global_seed = seed is None
+        self._generators.seed(seed)
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        batch = tensordict_reset.batch_size
+        if self._follows_global_seed and reset_mask(tensordict, batch) is None:
+            self._generators.seed(None)
+        self._generators.resize(batch.numel())
+        return super()._reset(tensordict, tensordict_reset)
+
+    def slots(self, batch: torch.Size) -> SlotGenerators:
+        """Return the generators, one for each slot of ``batch``."""
+        self._generators.resize(batch.numel())
+        return self._generators
+
+    def draw_normal(self, batch: torch.Size, shape: torch.Size, mask: Mask) -> Tensor:
+        """Draw standard normal numbers ``[*batch, *shape]``, zeros where ``mask`` is False."""
+        return self.slots(batch).normal(shape, mask).reshape(batch + shape)
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """Return memory and generators for ``state_dict``."""
+        state = super().get_extra_state()
+        state["follows_global_seed"] = self._follows_global_seed
+        return state | {"generators": self._generators.state_dict()}
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Take memory and generators from a ``state_dict``."""
+        super().set_extra_state(state)
+        self._follows_global_seed = state["follows_global_seed"]
+        self._generators.load_state_dict(state["generators"])
+
+
+def _any_done(tensordict: TensorDictBase) -> Tensor:
+    """Return which slots end an episode, bool ``[*batch]``."""
+    batch = tensordict.batch_size
+    done = torch.zeros(batch, dtype=torch.bool, device=tensordict.device)
+    for key in tensordict.keys(True, True):
+        if (key if isinstance(key, str) else key[-1]) == "done":
+            done = done | tensordict.get(key).reshape(*batch, -1).any(-1)
+    return done

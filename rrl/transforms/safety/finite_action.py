@@ -1,0 +1,100 @@
+"""A guard against commands that are not numbers."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+from torch import Tensor
+
+from rrl.checks import check, require
+from rrl.keys import ACTION, BASE_ACTION
+from rrl.slot_masks import step_mask
+from rrl.transforms.base import ActionLimits, sibling
+from rrl.transforms.safety.base import SafetyLimit, finite
+
+__all__ = ["FiniteAction"]
+
+_REPLACEMENTS = ("last", "zero", "controller")
+
+
+class FiniteAction(SafetyLimit):
+    """A replacement for commands with NaN or infinity, within the same step.
+
+    A broken sensor, controller or network gives them, and clipping lets NaN pass. In the list it
+    stands behind the other limits and before disturbance and residual, so that the other limits
+    have the last word on what it puts in.
+
+    policy -> env: reads and writes ``action_key``; reads ``base_action_key``.
+    env -> policy: writes ("safety", "finite"), and with ``truncate`` sets "truncated" and "done";
+    see :class:`SafetyLimit`.
+
+    Args:
+        replacement: The command of a slot whose command is not finite. "last": what was executed in
+            the last step, right for absolute targets; in an episode's first step zeros. "zero":
+            zeros, right for displacements and velocities. "controller": the controller's action,
+            and "last" where that is not finite either.
+        truncate: Whether the episode ends with such a step. A controller with memory may have
+            remembered the NaN, and starts anew with the next episode. An environment that resets
+            itself within a step cannot be told to, and goes on.
+        base_action_key: The controller's action, read for "controller" only. Default: "base_action"
+            at the level of ``action_key``.
+        action_key: The action ``[*batch, n_act]``; may be nested.
+
+    Raises:
+        ValueError: If ``replacement`` is unknown.
+        KeyError: If an action is missing.
+        RuntimeError: If actions pass the inverse without an environment or before a reset.
+    """
+
+    def __init__(
+        self,
+        replacement: str = "last",
+        truncate: bool = True,
+        base_action_key: NestedKey | None = None,
+        action_key: NestedKey = ACTION,
+    ) -> None:
+        super().__init__("finite", [], action_key)
+        expected = f"one of {', '.join(_REPLACEMENTS)}"
+        check("replacement", replacement, expected, replacement in _REPLACEMENTS)
+        self.replacement, self.truncate = replacement, bool(truncate)
+        self._base_key = base_action_key or sibling(action_key, BASE_ACTION)
+
+    def measure(self, tensordict: TensorDictBase, action: Tensor) -> Tensor:
+        """Return the action that was executed."""
+        return action
+
+    def limit(self, action: Tensor, measured: Tensor, limits: ActionLimits) -> Tensor:
+        """Return the action as it is; :meth:`hold` replaces what is not finite."""
+        return action
+
+    def changed(self, action: Tensor, safe: Tensor) -> Tensor:
+        """Return whether the command was not finite; clipping at the bounds does not count."""
+        return ~finite(action)
+
+    def hold(self, tensordict: TensorDictBase, measured: Tensor) -> Tensor:
+        """Return the replacement ``[*batch, n_act]``."""
+        if self.replacement == "zero":
+            return super().hold(tensordict, measured)
+        if self.replacement == "last":
+            return measured
+        base_action = require(self, tensordict, self._base_key).to(measured.dtype)
+        return torch.where(finite(base_action), base_action, measured)
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        super()._step(tensordict, next_tensordict)
+        ends = tensordict.get(self._flag_key)
+        if self.truncate and not self.resets_itself() and ends.any():
+            mask = step_mask(tensordict, next_tensordict.batch_size)
+            _truncate(next_tensordict, ends if mask is None else ends & mask.unsqueeze(-1))
+        return next_tensordict
+
+
+def _truncate(tensordict: TensorDictBase, ends: Tensor) -> None:
+    """End the episodes of the slots in ``ends``, bool ``[*batch, ..., 1]``."""
+    batch = tensordict.batch_size
+    for key in list(tensordict.keys(True, True)):
+        if (key if isinstance(key, str) else key[-1]) in ("done", "truncated"):
+            flag = tensordict.get(key)
+            own = ends if ends.shape == flag.shape else ends.reshape(*batch, -1).any(-1)
+            own = own.reshape(own.shape + (1,) * (flag.ndim - own.ndim))
+            tensordict.set(key, flag | own)
