@@ -6,7 +6,7 @@ import importlib
 import inspect
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import torch
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -37,7 +37,6 @@ class _Render(_Section):
     enabled: bool
     scenario: str | None
     episode: int | str
-    seed: Annotated[int, Field(ge=0)]
     width: Side
     height: Side
     format: Annotated[str, Field(pattern="^(mp4|gif)$")]
@@ -66,7 +65,6 @@ class _Algorithm(_Section):
 
 class _InitFrom(_Section):
     run: str | None
-    seed: Annotated[int, Field(ge=0)] | None
 
 
 class _Root(_Section):
@@ -75,6 +73,8 @@ class _Root(_Section):
     name: PlainName
     arm: str
     residual_scale: Scale
+    launcher: Literal["local", "ray"] = "local"
+    workers: Positive | None = None
     trainer: TrainerSettings
     render: _Render
     env: _Env
@@ -192,15 +192,9 @@ def _check_arguments(path: str, node: Target, given: Config | int) -> Problems:
 
 
 def _check_render(config: Config) -> Problems:
-    render, scenarios, seeds = (
-        config["render"],
-        config["env"]["scenarios"],
-        config["trainer"]["num_seeds"],
-    )
+    render, scenarios = config["render"], config["env"]["scenarios"]
     if render["scenario"] is not None and render["scenario"] not in scenarios:
         yield f"render.scenario: expected one of {', '.join(scenarios)} or null, got {render['scenario']!r}"
-    if render["seed"] >= seeds:
-        yield f"render.seed: expected a number below trainer.num_seeds ({seeds}), got {render['seed']}"
     if isinstance(render["episode"], str) and render["episode"] != "rescue":
         yield f"render.episode: expected rescue or a number, got {render['episode']!r}"
 

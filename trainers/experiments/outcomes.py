@@ -1,21 +1,48 @@
-"""What the runs of a point came to, its groups of seeds put together again."""
+"""What the runs of a point came to, its seeds put together again."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..launch.store import Store
+from ..launch.job import Job
 from ..loggers import metrics
 from ..report.curves import Curve, curve
+from ..report.read_back import episode_count, final_summary, metric_points, success_interval
 from ..report.runs import Run
-from .plan import Point
+from .plan import Point, run_directory
+
+__all__ = ["Counts", "Finding", "Findings", "Outcome", "gather"]
 
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Successes of several runs on frozen episodes, the same ones for each run.
+
+    Attributes:
+        solved: By run ``[S]``.
+        episodes: Of each run.
+    """
+
+    solved: tuple[int, ...]
+    episodes: int
+
+    @property
+    def rate(self) -> float:
+        """Share of the episodes that are solved."""
+        return sum(self.solved) / (len(self.solved) * self.episodes)
+
+    def __str__(self) -> str:
+        low, high = success_interval(self.solved, self.episodes)
+        each = "/".join(map(str, self.solved))
+        return f"{each} of {self.episodes} [{low:.0%}, {high:.0%}]"
 
 
 @dataclass(frozen=True)
@@ -23,17 +50,12 @@ class Outcome:
     """The finished runs of one point.
 
     Attributes:
-        point: arm, setting, configuration.
-        runs: one for each group of seeds.
+        point: Arm, setting, configuration.
+        runs: One for each seed that is finished.
     """
 
     point: Point
     runs: tuple[Run, ...]
-
-    @cached_property
-    def seeds(self) -> list[int]:
-        """Seeds that are finished, of those that were asked for."""
-        return sorted(seed for run in self.runs for seed in run.seeds if seed in self.point.seeds)
 
     @property
     def followed(self) -> str:
@@ -53,24 +75,33 @@ class Outcome:
     @cached_property
     def episodes(self) -> int:
         """Frozen episodes of each scenario in the final evaluation."""
-        return int(self.runs[0].config["trainer"]["evaluation"]["final_episodes"])
+        return episode_count(self.runs[0])
 
     def final(self, entry: str, scenario: str | None = None) -> Floats:
-        """One entry of the final evaluation's summary, by seed ``[S]``."""
-        by_seed = {seed: run.results for run in self.runs for seed in run.seeds}
-        return np.array(
-            [by_seed[seed][scenario or self.followed][str(seed)][entry] for seed in self.seeds]
-        )
+        """Return one entry of the final evaluation's summary, by seed ``[S]``."""
+        return np.array([final_summary(run, scenario)[entry] for run in self.runs], dtype=float)
+
+    def counts(self, scenario: str | None = None) -> Counts:
+        """Return how many episodes each run solves."""
+        solved = np.rint(self.final("success", scenario) * self.episodes)
+        return Counts(tuple(map(int, solved)), self.episodes)
+
+    def controller_counts(self, scenario: str | None = None) -> Counts:
+        """Return how many episodes the controller solves, which is the same for every run."""
+        solved = round(self.final("controller_success", scenario)[0] * self.episodes)
+        return Counts((solved,), self.episodes)
 
     def knows(self, entry: str) -> bool:
-        """Whether the final evaluation has that entry."""
-        return all(entry in summary for summary in self.runs[0].results[self.followed].values())
+        """Return whether the final evaluation has that entry."""
+        return all(entry in final_summary(run) for run in self.runs)
 
     def curve(self, entry: str) -> Curve:
-        """An entry of the evaluations during training and at the end, of the followed scenario."""
+        """Return an entry of the followed scenario's evaluations, over environment steps."""
         name = metrics.name(metrics.EVALUATION, self.followed, entry)
-        series = {seed: points for run in self.runs for seed, points in run.record[name].items()}
-        return curve({seed: series[seed] for seed in self.seeds})
+        series = {i: list(metric_points(run, name)) for i, run in enumerate(self.runs)}
+        if not all(series.values()):
+            raise KeyError(name)
+        return curve(series)
 
 
 @dataclass(frozen=True)
@@ -81,7 +112,7 @@ class Finding:
     outcomes: tuple[Outcome, ...]
 
     def arm(self, name: str) -> list[Outcome]:
-        """The outcomes of one arm, by setting."""
+        """Return the outcomes of one arm, by setting."""
         return [outcome for outcome in self.outcomes if outcome.point.arm == name]
 
     @property
@@ -94,16 +125,13 @@ Findings = Mapping[str, Finding]
 """Experiment's name to what was found."""
 
 
-def gather(points: Sequence[Point], store: Store) -> Findings:
-    """Read what is finished; points without a finished run are left out, and so are runs that others start from."""
-    found: dict[str, list[Outcome]] = {}
-    for point in points:
-        outcomes = found.setdefault(point.experiment, [])
-        runs = [
-            run
-            for run in store.runs(point.key)
-            if run.finished and set(run.seeds) & set(point.seeds)
-        ]
-        if runs and not point.whole:
-            outcomes.append(Outcome(point, tuple(Run(run.path, run.name) for run in runs)))
-    return {name: Finding(name, tuple(outcomes)) for name, outcomes in found.items()}
+def gather(points: Sequence[Point], done: Sequence[Job], out: Path) -> Findings:
+    """Read the runs that are done; points without one are left out, and so are sources."""
+    names = {job.path: job.name for job in done}
+    found: dict[str, list[Outcome]] = {point.experiment: [] for point in points}
+    for point in points if names else ():
+        paths = [run_directory(point, seed, out) for seed in point.seeds]
+        runs = tuple(Run(path, names[path]) for path in paths if path in names)
+        if runs and point.shown:
+            found[point.experiment].append(Outcome(point, runs))
+    return {name: Finding(name, tuple(o)) for name, o in found.items() if o}

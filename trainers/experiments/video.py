@@ -1,55 +1,39 @@
-"""A video of an episode that the controller fails and the residual solves, from the runs of an experiment."""
+"""A video of an episode that the controller fails and the residual solves."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-from rich.console import Console
-
+from ..console import Output
 from ..launch.launchers import spawn
+from ..report.read_back import final_summary
 from ..report.runs import Run
 from .outcomes import Findings
 
-EPISODES = 25
-"""Of the frozen ones, searched for such an episode."""
+__all__ = ["rescue_video"]
 
 
-def rescue_video(findings: Findings, console: Console) -> Path | None:
-    """The video of the run with the most rescued episodes; made by ``rrl render`` if it is not there.
+def rescue_video(findings: Findings, console: Output) -> Path | None:
+    """Return the video of the run with the most rescued episodes; ``rrl render`` makes it.
 
     Returns:
         None if no run has rescued an episode, or the machine cannot render.
     """
-    best = _most_rescues(findings)
-    if best is None:
+    rescues: dict[Run, float] = {
+        run: final_summary(run)["rescues"]
+        for finding in findings.values()
+        for outcome in finding.outcomes
+        if outcome.knows("rescues") and not outcome.acts_alone
+        for run in outcome.runs
+        if run.config["env"].get("renderer")
+    }
+    if not any(rescues.values()):
         return None
-    run, k = best
+    run = max(rescues, key=lambda run: rescues[run])
     if not run.videos:
-        console.print(f"rendering an episode of {run.label}", highlight=False, soft_wrap=True)
-        command = ["render", f"run={run.path}", "render.enabled=true", f"render.seed={k}"]
-        spawn(
-            [*command, f"trainer.evaluation.final_episodes={EPISODES}"], run.path / "render.txt"
-        ).wait()
+        console.say(f"rendering an episode of {run.label}")
+        spawn(["render", f"run={run.path}"], run.path / "render.txt").wait()
     if not run.videos:
-        console.print(
-            f"no video: see {run.path / 'render.txt'}",
-            style="yellow",
-            highlight=False,
-            soft_wrap=True,
-        )
+        console.say(f"no video: see {run.path / 'render.txt'}", style="yellow")
         return None
     return run.videos[0]
-
-
-def _most_rescues(findings: Findings) -> tuple[Run, int] | None:
-    """A run and the place of a seed in its stack."""
-    best, most = None, 0.0
-    for finding in findings.values():
-        for outcome in finding.outcomes:
-            for run in outcome.runs if outcome.knows("rescues") and not outcome.acts_alone else ():
-                scenario = run.results[run.followed]
-                rescues = [scenario[str(seed)]["rescues"] for seed in run.seeds]
-                if run.config["env"].get("renderer") and max(rescues) > most:
-                    best, most = (run, int(np.argmax(rescues))), max(rescues)
-    return best

@@ -18,19 +18,22 @@ Series = Mapping[int, Sequence[tuple[int, float]]]
 """Seed to ``(env_steps, value)`` in order."""
 
 
-def learning_curve(run_dir: Path, scenario: str, out: Path) -> Path:
+def learning_curve(run_dirs: Sequence[Path], scenario: str, out: Path) -> Path:
     """Draw success and return over environment steps and write ``out`` (and the same as SVG).
 
     Each thin line is one seed; the band is the 95 % confidence interval of the mean over seeds (Student's t), as in
     the paper; the dashed line is the controller alone on the same episodes.
 
     Args:
-        run_dir: a run's directory.
+        run_dirs: directories of runs that differ by the seed.
         scenario: which of its scenarios.
         out: the PNG file.
 
     """
-    record = read_metrics(run_dir)
+    record: dict[str, dict[int, Sequence[tuple[int, float]]]] = {}
+    for run_dir in run_dirs:
+        for name, series in read_metrics(run_dir).items():
+            record.setdefault(name, {}).update(series)
     panels = [
         ("success", "success rate [%]", 100.0),
         ("return", "return of an episode", 1.0),

@@ -13,7 +13,14 @@ from typing import Any
 import yaml
 
 from ..loggers import metrics, read_metrics
-from ..storage.run_files import CONFIG_FILE, METRICS, RESULTS, VERSIONS, VIDEOS
+from ..storage.run_files import (
+    CONFIG_FILE,
+    METRICS,
+    RESULTS,
+    VERSIONS,
+    VIDEOS,
+    seed_directories,
+)
 from .curves import Curve, Series, curve
 
 Summaries = Mapping[str, Mapping[str, Mapping[str, float]]]
@@ -98,7 +105,8 @@ def find_runs(paths: Sequence[Path]) -> list[Run]:
     """
     found: list[Path] = []
     for path in paths:
-        below = [path] if (path / CONFIG_FILE).is_file() else _below(path)
+        alone = (path / CONFIG_FILE).is_file() and not seed_directories(path)
+        below = [path] if alone else seed_directories(path) or _below(path)
         if not below:
             raise FileNotFoundError(
                 f"{path}: no {CONFIG_FILE}; expected the directory of a run, or a folder of runs"
@@ -115,6 +123,7 @@ def _below(folder: Path) -> list[Path]:
         path
         for path in parents
         if not any(part.startswith(".") for part in path.relative_to(folder).parts)
+        and not seed_directories(path)
     ]
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from rich.table import Table
 
 from ..evaluation.statistics import mean_interval
+from ..storage.files import write_atomically
 
 if TYPE_CHECKING:  # it needs torch, and a report of finished runs does not
     from ..evaluation.episodes import Comparison
@@ -136,8 +137,8 @@ def caption(results: Results, seeds: Sequence[int]) -> str:
     )
 
 
-def write_results(results: Results, seeds: Sequence[int], run_dir: Path) -> None:
-    """Write ``results.json`` (every summary of every seed) and ``results.md`` (the table)."""
+def write_results(results: Results, seeds: Sequence[int], path: Path) -> None:
+    """Write every summary of every seed as JSON, all or nothing."""
     content = {
         scenario: {
             str(seed): comparison.summary()
@@ -145,5 +146,4 @@ def write_results(results: Results, seeds: Sequence[int], run_dir: Path) -> None
         }
         for scenario, comparisons in results.items()
     }
-    (run_dir / "results.json").write_text(json.dumps(content, indent=2) + "\n")
-    (run_dir / "results.md").write_text(markdown_table(results, seeds))
+    write_atomically(path, json.dumps(content, indent=2) + "\n")
