@@ -19,6 +19,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,7 +28,7 @@ from typing import Any
 from ..launch.job import Job, measured_settings, one_seed
 from .spec import Experiment, Overrides, Settings
 
-__all__ = ["Compose", "Point", "plan_jobs", "plan_points", "run_directory"]
+__all__ = ["Compose", "Point", "command", "plan_jobs", "plan_points", "run_directory"]
 
 Compose = Callable[[Sequence[str]], dict[str, Any]]
 """From overrides of ``rrl train`` to the resolved configuration."""
@@ -105,6 +106,18 @@ def run_directory(point: Point, seed: int, out: Path) -> Path:
     return (present[0] if present else out / "runs" / point.name) / f"seed-{seed}"
 
 
+def command(point: Point, seed: int, out: Path) -> str:
+    """Return the command that makes a run of a point anywhere."""
+
+    def directory(found: re.Match[str]) -> str:
+        path = str(run_directory(point.sources[found[1]], seed, out))
+        escaped = path.replace("\\", "\\\\").replace("'", "\\'")
+        return f"'{escaped}'"
+
+    overrides = [SOURCE.sub(directory, override) for override in point.overrides]
+    return shlex.join(["rrl", "train", *overrides, f"trainer.seed={seed}"])
+
+
 def _points_of(experiment: Experiment, settings: Settings, compose: Compose) -> list[Point]:
     scale, sweep = settings.scales[settings.scale], experiment.sweep
     common = (*settings.overrides, *scale.overrides, *experiment.overrides)
@@ -125,9 +138,7 @@ def _points_of(experiment: Experiment, settings: Settings, compose: Compose) -> 
             )
         config, used = compose(overrides), {name: sources[name] for name in names}
         key, seeds = _key(config, used), tuple(range(scale.seeds))
-        return Point(
-            experiment.name, arm, value, key, overrides, config, seeds, used, shown
-        )
+        return Point(experiment.name, arm, value, key, overrides, config, seeds, used, shown)
 
     sources: dict[str, Point] = {}
     for name, overrides in experiment.sources.items():

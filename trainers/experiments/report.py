@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -10,10 +9,10 @@ import yaml
 
 from ..launch.pool import Ending
 from ..report.page import Page
-from ..storage.run_files import CONFIG_FILE
 from ..storage.versions import versions
 from .claims import Verdict, criterion
 from .outcomes import Finding, Findings
+from .plan import command
 from .spec import Experiment, Settings
 from .tables import final_rows, overall_iqm, success_rows
 
@@ -49,7 +48,7 @@ def write_report(
     for experiment in experiments:
         _experiment(page, experiment, findings[experiment.name], figures[experiment.name])
     _failures(page, ending)
-    _configurations(page, experiments, findings)
+    _configurations(page, experiments, findings, out.parent)
     page.section("Versions")
     page.table(["package", "version"], [[name, version] for name, version in versions().items()])
     return page.write(out)
@@ -79,15 +78,15 @@ def _failures(page: Page, ending: Ending) -> None:
         page.text(f"`{job.name}` was not started: it needs {', '.join(map(str, job.needs))}.")
 
 
-def _configurations(page: Page, experiments: Sequence[Experiment], findings: Findings) -> None:
+def _configurations(
+    page: Page, experiments: Sequence[Experiment], findings: Findings, out: Path
+) -> None:
     page.section("Configurations")
-    page.text("Each run is an ordinary one: the command makes it again from what is below it.")
+    page.text("Each run can be made again alone, with the command that stands first.")
     outcomes = [outcome for e in experiments for outcome in findings[e.name].outcomes]
     for outcome in {outcome.point.key: outcome for outcome in outcomes}.values():
         run = outcome.runs[0]
-        folder = run.path.parent
+        again = command(outcome.point, run.config["trainer"]["seed"], out)
         config = yaml.safe_dump(run.config, sort_keys=False)
-        command = shlex.join(["rrl", "train", f"resume={run.path}"])
-        overrides = shlex.join(outcome.point.overrides)
-        text = f"{command}\n\n{CONFIG_FILE}, from {overrides}:\n\n{config}"
-        page.details(f"{folder.name}, {len(outcome.runs)} seeds", text)
+        title = f"{run.path.parent.name}, {len(outcome.runs)} seeds"
+        page.details(title, f"{again}\n\n{config}")
