@@ -2,28 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from rrl.algorithms import TD3, Agent
+from rrl.algorithms import TD3, Agent, mlp
 
 BATCH, OBSERVATION, ACTION = 16, 5, 2
 
 
-def make_agent(algorithm: Any = TD3, num_seeds: int = 1, **arguments: Any) -> Any:
-    return algorithm(
-        {"observation": OBSERVATION}, ACTION, num_seeds=num_seeds, hidden=[32, 32], **arguments
-    )
+def make_agent(
+    algorithm: Any = TD3,
+    *,
+    seed: int = 0,
+    hidden: Sequence[int] = (32, 32),
+    layer_norm: bool = False,
+    **arguments: Any,
+) -> Any:
+    """An agent with the initial weights of that seed."""
+    torch.manual_seed(seed)
+    network = partial(mlp, hidden=hidden, layer_norm=layer_norm)
+    return algorithm({"observation": OBSERVATION}, ACTION, network=network, **arguments)
 
 
-def batches(k: int, num_seeds: int, seed: int = 0) -> TensorDict:
-    """Random transitions ``[k, S, B]``, one in ten of them terminal."""
+def batches(k: int, seed: int = 0) -> TensorDict:
+    """Random transitions ``[k, B]``, one in ten of them terminal."""
     g = torch.Generator().manual_seed(seed)
-    shape = k, num_seeds, BATCH
+    shape = k, BATCH
 
     def normal(size: int) -> Tensor:
         return torch.randn(*shape, size, generator=g)
@@ -38,17 +47,23 @@ def batches(k: int, num_seeds: int, seed: int = 0) -> TensorDict:
     return TensorDict({**root, "next": {**following, "terminated": terminated}}, shape)
 
 
+def learn(agent: Agent, k: int, seed: int = 0) -> dict[str, Tensor]:
+    """Take ``k`` updates whose data and random numbers are those of that seed."""
+    torch.manual_seed(seed)
+    return agent.update(batches(k, seed))
+
+
 def parameters(agent: Agent) -> dict[str, Tensor]:
     return {k: v for k, v in agent.state_dict().items() if isinstance(v, Tensor)}
 
 
-def critics(agent: Agent, params: str) -> Iterator[Any]:
-    """The critics as functions of observation and action to values [S, B], with the parameters of that name."""
-    for stacked in getattr(agent.loss, params).unbind(0):
+def critics(loss: Any, params: str) -> Iterator[Any]:
+    """The critics as functions of observation and action to values [B], with the parameters of that name."""
+    for one in getattr(loss, params).unbind(0):
 
-        def q(observation: Tensor, action: Tensor, stacked: Any = stacked) -> Tensor:
+        def q(observation: Tensor, action: Tensor, one: Any = one) -> Tensor:
             td = TensorDict({"observation": observation, "action": action}, observation.shape[:-1])
-            with stacked.data.to_module(agent.loss.qvalue_network):
-                return agent.loss.qvalue_network(td)["state_action_value"].squeeze(-1)
+            with one.data.to_module(loss.qvalue_network):
+                return loss.qvalue_network(td)["state_action_value"].squeeze(-1)
 
         yield q

@@ -1,192 +1,186 @@
-"""What an earlier run has learned, as the start of another one: initial weights, a controller, a recorded sequence."""
+"""What an earlier run has learned, as the start of another: weights, a controller, a recording."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import torch
-import yaml
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor
-from torchrl.envs import TransformedEnv
+from torchrl.envs import EnvBase
 
 from rrl.algorithms.base import Agent
 from rrl.controllers import Controller, PolicyController, ReplayController, ZeroController
-from rrl.keys import ACTION, BASE_ACTION, OBSERVATION, PREVIOUS_ACTION, SUCCESS
-from rrl.transforms.action_bounds import limits_of
+from rrl.keys import ACTION, BASE_ACTION, PREVIOUS_ACTION, SUCCESS
+from rrl.transforms.base.action_bounds import limits_of
 
 from .configuration import build as assembly
 from .environment import EnvironmentFactory
 from .evaluation.rollout import isolated_generators, rollout
+from .loggers import metrics
+from .report.runs import Run
 from .seeds import Stream, first_seed
 from .storage.checkpoints import load_agent
-from .storage.run_files import CONFIG_FILE
+from .storage.run_files import CONFIG_FILE, seed_directories
+
+__all__ = ["best_run", "policy_controller", "replay_controller", "start_from", "trained_agent"]
 
 Config = Mapping[str, Any]
 EPISODES_TRIED = 20
 """How many frozen episodes are tried for one that the policy solves."""
 
+log = logging.getLogger(__name__)
 
-def run_config(run: str | Path | None) -> dict[str, Any]:
-    """The configuration of a run.
+
+def best_run(run: str | Path | None) -> Path:
+    """Return a run's directory; of several seeds that of the best one.
+
+    The best one has the highest success, then return, in the last evaluation during training. The
+    final evaluation decides nothing, so that its numbers stay those of a policy not chosen by them.
 
     Raises:
-        FileNotFoundError: if there is no run at ``run``.
+        FileNotFoundError: If there is no run.
+        ValueError: If no seed was evaluated during training.
     """
-    path = Path(run or "").expanduser() / CONFIG_FILE
-    if run is None or not path.is_file():
+    path = Path(run or "").expanduser()
+    if seeds := seed_directories(path):
+        scores = {seed: score for seed in seeds if (score := _score(Run(seed, seed.name)))}
+        if not scores:
+            raise ValueError(
+                f"run: expected evaluations during training to choose a seed of {path} by, got "
+                "none: name the directory of one seed"
+            )
+        best = max(scores, key=lambda seed: scores[seed])
+        log.info("%s: taking %s, the best during training", path, best.name)
+        return best
+    if run is None or not (path / CONFIG_FILE).is_file():
         raise FileNotFoundError(
             f"run: expected the directory of a training run, got {run!r}: no {CONFIG_FILE} there"
         )
-    return dict(yaml.safe_load(path.read_text(encoding="utf-8")))
+    return path
 
 
 def trained_agent(config: Config, run_dir: Path) -> tuple[Agent, Path]:
-    """The agent of a run's newest whole checkpoint, and that checkpoint."""
-    settings, env = assembly.settings(config), assembly.environment(config).make(1)
+    """Return the agent of a run's newest whole checkpoint, and that checkpoint."""
+    factory = assembly.environment(config)
+    env = factory.make(1)
     agent: Agent = assembly.agent(config)(
-        input_sizes={OBSERVATION: env.observation_spec[OBSERVATION].shape[-1]},
-        action_size=env.full_action_spec[ACTION].shape[-1],
-        num_seeds=settings.num_seeds,
-        seed=settings.seed,
+        inputs=factory.read_inputs(env), action_size=env.full_action_spec[ACTION].shape[-1]
     )
     env.close()
     return agent, load_agent(run_dir, agent)
 
 
 def start_from(agent: Agent, config: Config) -> None:
-    """Give a new agent the initial weights that ``init_from`` of its configuration names, if it names any.
+    """Give a new agent the initial weights that ``init_from.run`` names, if it names any.
 
     Raises:
-        FileNotFoundError: if there is no such run.
-        ValueError: if its policy reads other inputs or has networks of other sizes.
+        FileNotFoundError: If there is no such run.
+        ValueError: If its policy reads other inputs or has networks of other sizes.
     """
-    start = config.get("init_from") or {}
-    run = start.get("run")
+    run = (config.get("init_from") or {}).get("run")
     if run is None:
         return
-    source = run_config(run)
+    path = best_run(run)
+    source = Run(path, path.name).config
     if source["env"]["inputs"] != config["env"]["inputs"]:
         raise ValueError(
-            f"init_from.run: the policy of {run} reads {source['env']['inputs']}, this one would read "
-            f"{config['env']['inputs']}: give both runs the same env.inputs"
+            f"init_from.run: expected a policy that reads {config['env']['inputs']}, got {run}, "
+            f"which reads {source['env']['inputs']}: give both runs the same env.inputs"
         )
-    trained, _ = trained_agent(source, Path(run))
-    agent.start_from(trained, chosen(source, run, start.get("seed")))
+    agent.start_from(trained_agent(source, path)[0])
 
 
-def policy_controller(
-    run: str | None = None, seed: int | None = None, out_key: str = BASE_ACTION
-) -> Controller:
-    """A policy that was trained without another controller (``arm=rl``) as the controller: closed loop, frozen.
+def policy_controller(run: str | None = None, out_key: str = BASE_ACTION) -> Controller:
+    """Make a policy that was trained alone (``arm=rl``) the controller: closed loop, frozen.
 
     Args:
-        run: directory of the run that trained it.
-        seed: one of its seeds; None: the best of its final evaluation.
-        out_key: where the action goes.
+        run: Directory of the run that trained it, or of several seeds, as for :func:`best_run`.
+        out_key: Where the action goes.
 
     Raises:
-        FileNotFoundError: if there is no such run.
-        ValueError: if the policy is a residual, or reads what only its own run can give it.
+        FileNotFoundError: If there is no such run.
+        ValueError: If the policy is a residual, or reads what only its own run can give it.
     """
-    return PolicyController(_policy(run, seed), out_key=out_key)
+    return PolicyController(_policy(run), out_key=out_key)
 
 
-def replay_controller(
-    run: str | None = None, seed: int | None = None, out_key: str = BASE_ACTION
-) -> Controller:
-    """The actions of such a policy in its own environment, on a frozen episode that it solves, replayed open loop.
+def replay_controller(run: str | None = None, out_key: str = BASE_ACTION) -> Controller:
+    """Replay open loop what such a policy does on a frozen episode that it solves.
 
     Arguments and errors are those of :func:`policy_controller`.
     """
-    return ReplayController(_actions(run, seed), out_key=out_key)
-
-
-def chosen(config: Config, run: str | Path, seed: int | None) -> int:
-    """Place in the stack of a run's seed; None chooses by success and then return in its final evaluation.
-
-    Raises:
-        ValueError: if the run does not have that seed, or has no final evaluation to choose by.
-    """
-    seeds = assembly.settings(config).seeds
-    if seed is None:
-        path = Path(run) / "results.json"
-        if not path.is_file():
-            raise ValueError(
-                f"seed: {run} has no final evaluation to choose the best seed by; name one of {seeds}"
-            )
-        seed = seeds[0]
-    if seed not in seeds:
-        raise ValueError(f"seed: expected one of the run's seeds {seeds}, got {seed}")
-    return seeds.index(seed)
+    return ReplayController(_actions(run), out_key=out_key)
 
 
 @lru_cache(maxsize=4)
-def _policy(run: str | None, seed: int | None) -> TensorDictSequential:
-    """From the source's input entries to ``action`` in units of the environment's action."""
-    config, agent, k = _source(run, seed)
+def _policy(run: str | None) -> TensorDictSequential:
+    """Return a module from the source's inputs to ``action`` in the environment's units."""
+    config, policy = _source(run)
     factory = assembly.environment(config)
     unit = _unit(factory)
-
-    def in_action_units(action: Tensor) -> Tensor:
-        return action * unit
-
-    return TensorDictSequential(
-        factory.reader(),
-        agent.policy_of(k),
-        TensorDictModule(in_action_units, in_keys=[ACTION], out_keys=[ACTION]),
-    )
+    in_units = TensorDictModule(lambda action: action * unit, in_keys=[ACTION], out_keys=[ACTION])
+    return TensorDictSequential(policy, in_units)
 
 
 @lru_cache(maxsize=4)
 @torch.no_grad()
-def _actions(run: str | None, seed: int | None) -> Tensor:
-    """Actions ``[T, n_act]`` of the first frozen episode that the policy solves; of the first one if it solves none."""
-    config, agent, k = _source(run, seed)
+def _actions(run: str | None) -> Tensor:
+    """Return actions ``[T, n_act]`` of the first episode that the policy solves, or of the first."""
+    config, policy = _source(run)
     factory = next(iter(assembly.scenarios(config).values()))
     env = factory.make(1)
     first = first_seed(Stream.FOLLOWING, assembly.settings(config).evaluation.seed)
     tried = []
-    for episode in range(EPISODES_TRIED):
-        actions, solved = _episode(
-            env, agent.policy_of(k), first + episode, factory.max_episode_steps
-        )
-        tried.append(actions)
-        if solved:
+    for seed in range(first, first + EPISODES_TRIED):
+        tried.append(_episode(env, policy, seed, factory.max_episode_steps))
+        if tried[-1][1]:
             break
     env.close()
-    return (tried[-1] if solved else tried[0]) * _unit(factory)
+    actions, _ = tried[-1] if tried[-1][1] else tried[0]
+    return actions * _unit(factory)
 
 
-def _episode(env: TransformedEnv, policy: Any, seed: int, max_steps: int) -> tuple[Tensor, bool]:
+def _episode(env: EnvBase, policy: Any, seed: int, max_steps: int) -> tuple[Tensor, bool]:
     with isolated_generators(seed):
         _, *steps = (td for td, _ in rollout(env, policy, seed, max_steps))
     actions = torch.stack([td[ACTION].flatten() for td in steps])
     return actions, bool(steps[-1].get(SUCCESS, torch.zeros(1)).any())
 
 
-def _source(run: str | None, seed: int | None) -> tuple[Config, Agent, int]:
-    config = run_config(run)
-    assert run is not None
+def _source(run: str | None) -> tuple[Config, Any]:
+    """Return configuration and policy of a run that can be a controller."""
+    path = best_run(run)
+    config = Run(path, path.name).config
     target = config["controller"]["_target_"]
     if target.rpartition(".")[2] != ZeroController.__name__:
-        raise ValueError(
-            f"run: expected a policy that acts alone (arm=rl), but {run} has the controller {target}"
-        )
+        raise ValueError(f"run: expected a policy that acts alone (arm=rl), got {run} on {target}")
     private = {BASE_ACTION, PREVIOUS_ACTION} & set(config["env"]["inputs"])
     if private:
         raise ValueError(
-            f"run: the policy of {run} reads {sorted(private)}, which only its own run can give it"
+            f"run: expected a policy that reads what any environment says, got {run}, which reads "
+            f"{sorted(private)}"
         )
-    return config, trained_agent(config, Path(run))[0], chosen(config, run, seed)
+    return config, trained_agent(config, path)[0].policy
 
 
 def _unit(factory: EnvironmentFactory) -> Tensor:
-    """What an action of 1 stands for, ``[n_act]`` in the environment's units."""
+    """Return what an action of 1 stands for, ``[n_act]`` in the environment's units."""
     env = factory.make(1)
     half_range = limits_of(env.base_env.full_action_spec[ACTION]).half_range
     env.close()
     return half_range.reshape(-1, half_range.shape[-1])[0] * torch.as_tensor(factory.residual_scale)
+
+
+def _score(run: Run) -> tuple[float, float] | None:
+    """Return success and return in the last evaluation during training."""
+    score = []
+    for entry in ("success", "return"):
+        name = metrics.name(metrics.EVALUATION, run.followed, entry)
+        values = [value for step, value in run.record.get(name, []) if step]
+        score.append(values[-1] if values else None)
+    return None if score[1] is None else (score[0] or 0.0, score[1])

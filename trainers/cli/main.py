@@ -1,30 +1,34 @@
-"""The command line: ``rrl train``, ``rrl evaluate``, ``rrl render``, with Hydra's overrides."""
+"""The command line: ``rrl COMMAND``, with Hydra's overrides."""
 
 from __future__ import annotations
 
+import logging
 import os
-import re
+import shlex
 import signal
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from functools import partial
+from itertools import count
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING
 
-import hydra
 import yaml
-from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig, OmegaConf
-from rich.console import Console
 
-from ..storage.run_files import CONFIG_FILE, REPORT
+from ..console import DurableStream, Output, durable_output
+from ..storage.run_files import CONFIG_FILE, LOG, REPORT
+
+if TYPE_CHECKING:
+    from .compose import Composed
+
+__all__ = ["COMMANDS", "main"]
 
 USAGE = """usage: rrl COMMAND [key=value ...]
 
   rrl train [key=value ...]             train on the configuration, end with table, curve and video
-  rrl train resume=RUN [key=value ...]  continue a run from its newest checkpoint
-  rrl evaluate run=RUN [key=value ...]  evaluate a run's newest checkpoint on frozen episodes
+  rrl train trainer.num_seeds=5 ...     the same for five seeds, each a run of its own
+  rrl train resume=RUN [key=value ...]  continue a run, or the seeds of one, from the newest checkpoint
+  rrl evaluate run=RUN [key=value ...]  evaluate a run's newest checkpoint, into evaluation-TIME.json
   rrl render run=RUN [key=value ...]    write a video of controller and residual on one episode
   rrl report RUN... [out=FILE]          write one interactive page about a run, or about several side by side
   rrl dashboard entity=USER [project=P] lay out the W&B workspace (extra rrl[dashboard], after wandb login)
@@ -33,56 +37,130 @@ USAGE = """usage: rrl COMMAND [key=value ...]
   rrl new NAME                          make a folder with environment, controller and configuration of your own
 
 RUN is a run's directory. Keys and groups: rrl train --help; the whole configuration: rrl train --cfg job.
-Packages and a folder configs/ of the working directory are found: env=mine reads configs/env/mine.yaml.
-Set RRL_TRACEBACK=1 to see where an error comes from.
+Packages and a folder configs/ of the working directory are found: env=mine reads configs/env/mine.yaml, and a file
+there comes before ours of the same name. Set RRL_TRACEBACK=1 to see where an error comes from.
 
-SIGTERM and Ctrl-C finish the round, save and print how to go on; the second one ends the process at once.
-Exit status: 0 done, 2 an error (one message on stderr), 130 or 143 stopped by Ctrl-C or SIGTERM.
+Ctrl-C, SIGTERM and SIGHUP finish the round, save and print how to go on; a second one ends the process at once.
+Exit status: 0 done, 2 an error (one message on stderr), 128 + n stopped by signal n.
 """
 
 COMMANDS = ("train", "evaluate", "render", "report", "dashboard", "reproduce", "new")
-USER_CONFIGS = "configs"
-"""Folder in the working directory whose groups are added to ours."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point of ``rrl``; returns the exit status."""
+    """Run a command; the entry point of ``rrl``.
+
+    Returns:
+        The exit status.
+    """
     arguments = list(sys.argv[1:] if argv is None else argv)
-    if not arguments or arguments[0] in ("-h", "--help", "help"):
-        print(USAGE)
-        return 0
-    command, rest = arguments[0], arguments[1:]
-    try:
-        if command not in COMMANDS:
-            raise ValueError(f"unknown command {command!r}; choose one of {', '.join(COMMANDS)}")
-        if command in WITHOUT_CONFIGURATION:
-            WITHOUT_CONFIGURATION[command](rest)
+    with durable_output():
+        if not arguments or arguments[0] in ("-h", "--help", "help"):
+            print(USAGE)
             return 0
-        run_dir, overrides = _split_run(command, rest)
-        _hydra(command, run_dir, overrides)
-    except KeyboardInterrupt:
-        return 128 + signal.SIGINT
-    except Exception as error:
-        if stopped_by := getattr(error, "signal", None):
-            return 128 + int(stopped_by)
-        if os.environ.get("RRL_TRACEBACK"):
-            raise
-        Console(stderr=True).print(
-            f"rrl {command}: {_message(error)}", style="red", highlight=False, markup=False
+        command, rest = arguments[0], arguments[1:]
+        try:
+            if command not in COMMANDS:
+                raise ValueError(f"command: expected one of {', '.join(COMMANDS)}, got {command!r}")
+            _configure_messages()
+            WITHOUT_CONFIGURATION.get(command, lambda rest: _configured(command, rest))(rest)
+        except KeyboardInterrupt:
+            return 128 + signal.SIGINT
+        except Exception as error:
+            if stopped_by := getattr(error, "signal", None):
+                return 128 + int(stopped_by)
+            if os.environ.get("RRL_TRACEBACK"):
+                raise
+            Output(stderr=True).say(f"rrl {command}: {_message(error)}", style="red")
+            return 2
+        return 0
+
+
+def as_path(text: str) -> Path:
+    """Return the absolute path that an argument names; ``~`` is the home unless a file is called so."""
+    path = Path(text)
+    if not path.exists() and text.startswith("~"):
+        path = Path(os.path.expanduser(text))  # noqa: PTH111 - Path's raises for unknown users
+    return path.resolve()
+
+
+def new_directory(path: Path) -> Path:
+    """Make a directory that was not there: ``path``, or with -1, -2 ... at its end."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for number in count():
+        candidate = path.with_name(f"{path.name}-{number}") if number else path
+        try:
+            candidate.mkdir()
+        except FileExistsError:
+            continue
+        return candidate
+    raise AssertionError
+
+
+def _configured(command: str, arguments: list[str]) -> None:
+    """Run a command that reads a configuration: train, evaluate, render."""
+    from .compose import compose_train, through_hydra
+
+    run_dir, rest = _split_run(command, arguments)
+
+    def perform(composed: Composed) -> None:
+        _perform(command, composed, resume=run_dir is not None)
+
+    if any(argument.startswith("-") for argument in rest):
+        through_hydra(rest, run_dir, perform)
+    else:
+        perform(compose_train(rest, run_dir))
+
+
+def _split_run(command: str, arguments: list[str]) -> tuple[Path | None, list[str]]:
+    """Take ``resume=`` or ``run=`` out of the arguments."""
+    key = "resume=" if command == "train" else "run="
+    named = [a.removeprefix(key) for a in arguments if a.startswith(key)]
+    rest = [a for a in arguments if not a.startswith(key)]
+    if command != "train" and not named and not any(a.startswith("-") for a in rest):
+        raise ValueError(f"run: expected run=DIRECTORY of a training run, got {rest}")
+    if not named:
+        return None, rest
+    run_dir = as_path(named[-1])
+    if not (run_dir / CONFIG_FILE).is_file():
+        raise FileNotFoundError(
+            f"{key}{named[-1]}: expected the directory of a training run, "
+            f"got no {CONFIG_FILE} in {run_dir}"
         )
-        return 2
-    return 0
+    return run_dir, rest
+
+
+def _perform(command: str, composed: Composed, *, resume: bool) -> None:
+    # Here, because they import torch: help and usage errors come at once.
+    from .evaluate import evaluate, render
+    from .train import train
+
+    console, config, run_dir = Output(), composed.config, composed.run_dir
+    for path in composed.replaced:
+        console.say(f"reading {path.relative_to(Path.cwd())} of this project instead of rrl's own")
+    if command != "train":
+        DurableStream.log = run_dir / LOG
+        {"evaluate": evaluate, "render": render}[command](config, run_dir, console)
+        return
+    run_dir = run_dir if composed.chosen else new_directory(run_dir)
+    DurableStream.log = run_dir / LOG
+    try:
+        train(config, run_dir, console, resume=resume)
+    except Exception:
+        if run_dir.is_dir() and not any(run_dir.iterdir()):
+            run_dir.rmdir()
+        raise
 
 
 def _new(arguments: list[str]) -> None:
     from .new import create
 
     if len(arguments) != 1:
-        raise ValueError(f"expected one name, rrl new NAME, got {arguments}")
-    name = arguments[0]
+        raise ValueError(f"name: expected one, rrl new NAME, got {arguments}")
+    name, console = arguments[0], Output()
     for path in create(name, Path.cwd()):
-        print(f"  {path.relative_to(Path.cwd())}")
-    print(f"\ncd {name} && rrl train env={name} controller={name}")
+        console.say(f"  {path.relative_to(Path.cwd())}")
+    console.say(f"\ncd {name} && rrl train env={name} controller={name}")
 
 
 def _report(arguments: list[str]) -> None:
@@ -90,57 +168,39 @@ def _report(arguments: list[str]) -> None:
     from ..report.runs import find_runs
 
     chosen = [a.removeprefix("out=") for a in arguments if a.startswith("out=")]
-    named = [Path(a).expanduser() for a in arguments if not a.startswith("out=")]
+    named = [as_path(a) for a in arguments if not a.startswith("out=")]
     if not named or any("=" in path.name and not path.exists() for path in named):
         raise ValueError(
-            f"expected directories of runs, rrl report RUN... [out=FILE], got {arguments}"
+            f"runs: expected their directories, rrl report RUN... [out=FILE], got {arguments}"
         )
-    runs = find_runs(named)
-    out = (
-        Path(chosen[-1]).expanduser()
-        if chosen
-        else (runs[0].path if len(runs) == 1 else Path.cwd()) / REPORT
-    )
-    print(f"  {write_report(runs, out)}")
+    folder = named[0] if len(named) == 1 and (named[0] / CONFIG_FILE).is_file() else Path.cwd()
+    out = as_path(chosen[-1]) if chosen else folder / REPORT
+    Output().say(f"  {write_report(find_runs(named), out)}")
 
 
 def _dashboard(arguments: list[str]) -> None:
     from ..report.dashboard import build
 
     named = dict(a.split("=", 1) for a in arguments if "=" in a)
-    if (
-        "entity" not in named
-        or not named.keys() <= {"entity", "project"}
-        or len(named) != len(arguments)
-    ):
+    known = named.keys() <= {"entity", "project"} and len(named) == len(arguments)
+    if "entity" not in named or not known:
         raise ValueError(
-            f"expected your W&B user or team, rrl dashboard entity=USER [project=rrl], got {arguments}"
+            "entity: expected your W&B user or team, rrl dashboard entity=USER [project=rrl], "
+            f"got {arguments}"
         )
-    print(f"  {build(**named).save().url}")
+    Output().say(f"  {build(**named).save().url}")
 
 
 def _reproduce(arguments: list[str]) -> None:
-    _quieten()
     from ..experiments.reproduce import reproduce
+    from .compose import CONFIGS, OURS, compose
 
     names = [a for a in arguments if "=" not in a]
-    changes = {
-        key: yaml.safe_load(value)
-        for key, _, value in (a.partition("=") for a in arguments if "=" in a)
-    }
-    ours, theirs = Path(__file__).parents[2] / USER_CONFIGS, Path.cwd() / USER_CONFIGS
-    folders = [folder for folder in (theirs, ours) if folder.is_dir()]
-    sys.path.append(str(Path.cwd()))
-    reproduce(names, changes, partial(_compose, folders), folders, Console())
-
-
-def _compose(folders: Sequence[Path], overrides: Sequence[str]) -> dict[str, Any]:
-    """The configuration that ``rrl train`` would have with these overrides."""
-    found = [f"hydra.searchpath=[{','.join(f'file://{folder}' for folder in folders[:-1])}]"]
-    OmegaConf.register_new_resolver("plain", plain_name, replace=True)
-    with hydra.initialize_config_module("rrl.configs", version_base="1.3"):
-        config = hydra.compose("train", overrides=[*found, *overrides])
-    return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True, throw_on_missing=True))
+    given = [a.partition("=") for a in arguments if "=" in a]
+    changes = {k: value if k == "out" else yaml.safe_load(value) for k, _, value in given}
+    folders = [folder for folder in (Path.cwd() / CONFIGS, OURS) if folder.is_dir()]
+    again = shlex.join(["rrl", "reproduce", *arguments])
+    reproduce(names, changes, compose, folders, Output(), again)
 
 
 WITHOUT_CONFIGURATION: dict[str, Callable[[list[str]], None]] = {
@@ -151,101 +211,25 @@ WITHOUT_CONFIGURATION: dict[str, Callable[[list[str]], None]] = {
 }
 
 
-def _split_run(command: str, arguments: list[str]) -> tuple[Path | None, list[str]]:
-    """Take ``resume=`` or ``run=`` out of the arguments."""
-    key = "resume=" if command == "train" else "run="
-    named = [a.removeprefix(key) for a in arguments if a.startswith(key)]
-    rest = [a for a in arguments if not a.startswith(key)]
-    if command != "train" and not named and not any(a.startswith("-") for a in rest):
-        raise ValueError(f"expected run=DIRECTORY, the directory of a training run, got {rest}")
-    if not named:
-        return None, rest
-    run_dir = Path(named[-1]).expanduser().resolve()
-    if not (run_dir / CONFIG_FILE).is_file():
-        raise FileNotFoundError(
-            f"{key}{named[-1]}: no {CONFIG_FILE} in {run_dir}; expected the directory of a training run"
-        )
-    return run_dir, rest
+class _Printed(logging.Handler):
+    """Prints log messages, so that they pass through a progress bar and not across it."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        print(self.format(record))
 
 
-def _hydra(command: str, run_dir: Path | None, overrides: list[str]) -> None:
-    """Let Hydra compose the configuration (a run's own one, if named) and call the command."""
-    source = ["--config-path", "pkg://rrl.configs", "--config-name", "train"]
-    if run_dir is not None:
-        source = ["--config-path", str(run_dir), "--config-name", CONFIG_FILE]
-        quiet = "hydra.job_logging.root.level=WARNING"
-        overrides = [quiet, *overrides, f"hydra.run.dir={run_dir}", "hydra.output_subdir=null"]
-    OmegaConf.register_new_resolver("plain", plain_name, replace=True)
-    sys.argv = ["rrl", *source, *_user_configs(overrides), *overrides]
-    failures: list[Exception] = []
-
-    def job(config: DictConfig) -> None:
-        try:
-            _run(command, config, resume=run_dir is not None)
-        except Exception as error:
-            failures.append(error)  # past Hydra, which would print a line of its own about it
-
-    run: Callable[[], None] = hydra.main(version_base="1.3", config_path=None)(job)
-    os.environ.setdefault(
-        "HYDRA_FULL_ERROR", "1"
-    )  # what Hydra itself raises comes through; main() shows it
-    run()
-    for failure in failures:
-        raise failure
-
-
-def _user_configs(arguments: list[str]) -> list[str]:
-    """Let ``_target_`` name packages of the working directory, and groups hold the YAML of its folder ``configs``."""
-    here = Path.cwd()
-    if str(here) not in sys.path:
-        sys.path.append(str(here))  # last: nothing there hides an installed package
-    chosen = any(a.startswith(("--config-dir", "-cd")) for a in arguments)
-    return (
-        ["--config-dir", str(here / USER_CONFIGS)]
-        if (here / USER_CONFIGS).is_dir() and not chosen
-        else []
-    )
-
-
-def plain_name(name: str) -> str:
-    """``name`` itself, if it stays inside the folder that it is put in; resolver ``plain`` of the configuration.
-
-    Raises:
-        ValueError: anything but letters, digits and ``. _ + = -``, or a dot at the front.
-    """
-    if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._+=-]*", str(name)):
-        raise ValueError(
-            f"name: expected letters, digits and . _ + = - for a directory of that name, got {name!r}"
-        )
-    return name
-
-
-def _run(command: str, hydra_config: DictConfig, *, resume: bool) -> None:
-    _quieten()
-    from . import (
-        commands,  # here, because it imports torch and torchrl: help and usage errors come at once
-    )
-
-    container = OmegaConf.to_container(hydra_config, resolve=True, throw_on_missing=True)
-    config = cast(dict[str, Any], container)
-    run_dir = Path(HydraConfig.get().runtime.output_dir)
-    console = Console()
-    if command == "train":
-        commands.train(config, run_dir, console, resume=resume)
-    elif command == "evaluate":
-        commands.evaluate(config, run_dir, console)
-    else:
-        commands.render(config, run_dir, console)
-
-
-def _quieten() -> None:
-    """Keep to itself what TorchRL says when it is imported: that it is there, and that some of it is deprecated."""
+def _configure_messages() -> None:
+    """Show warnings of all libraries but TorchRL's about itself, and what takes long of ours."""
     warnings.filterwarnings("ignore", message="Creating .* inherits from WeightUpdaterBase")
     os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
+    logging.getLogger("rrl").setLevel(logging.INFO)
+    root = logging.getLogger()
+    if not root.handlers:
+        root.addHandler(_Printed())
 
 
 def _message(error: BaseException) -> str:
-    """An error in one paragraph; a KeyError without its quotes."""
+    """Return an error as one paragraph; a KeyError without its quotes."""
     if isinstance(error, KeyError) and error.args:
         return str(error.args[0])
     if isinstance(error, OSError) and error.strerror and error.filename:

@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import torch
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -38,7 +38,6 @@ class _Render(_Section):
     enabled: bool
     scenario: str | None
     episode: int | str
-    seed: Annotated[int, Field(ge=0)]
     width: Side
     height: Side
     format: Annotated[str, Field(pattern="^(mp4|gif)$")]
@@ -68,7 +67,6 @@ class _Algorithm(_Section):
 
 class _InitFrom(_Section):
     run: str | None
-    seed: Annotated[int, Field(ge=0)] | None
 
 
 class _Root(_Section):
@@ -77,6 +75,8 @@ class _Root(_Section):
     name: PlainName
     arm: str
     residual_scale: Scale
+    launcher: Literal["local", "ray"] = "local"
+    workers: Positive | None = None
     trainer: TrainerSettings
     render: _Render
     env: _Env

@@ -15,8 +15,9 @@ RESIDUAL, ALONE = "residual RL", "RL alone"
 SIM_ARM = "residual RL on the policy from simulation"
 LEVEL = 1 / 3
 """A residual is level if it loses at most this share of what the controller loses over a sweep."""
-FEW_STEPS = 1000
-SOLVED = 0.9
+FEW_STEPS, SOLVED = 1000, 0.9
+
+__all__ = ["CLAIMS", "Verdict", "criterion", "judge"]
 
 
 @dataclass(frozen=True)
@@ -24,10 +25,10 @@ class Verdict:
     """What became of a claim.
 
     Attributes:
-        claim: in words, with the criterion.
-        experiment: whose numbers decide it.
-        holds: None if the experiment has not been made.
-        numbers: those that decide.
+        claim: In words.
+        experiment: Name of the experiment that decides it.
+        holds: None if runs of it are missing.
+        numbers: The numbers that decide.
     """
 
     claim: str
@@ -67,16 +68,16 @@ def learns_faster(finding: Finding) -> tuple[bool, str]:
     low, high = mean_interval(residual)[0], mean_interval(alone)[1]
     return (
         low > high,
-        f"mean return over training: residual {_said(residual)}, RL alone {_said(alone)}",
+        f"mean return over training: residual {_with_interval(residual)}, RL alone {_with_interval(alone)}",
     )
 
 
-def ends_above_the_controller(finding: Finding) -> tuple[bool, str]:
+def ends_above(finding: Finding) -> tuple[bool, str]:
     """The gain in return over the controller, on the same episodes, is above zero by its interval over seeds."""
     outcome = finding.arm(RESIDUAL)[0]
     gain = outcome.final("return_gain")
     controller = outcome.final("controller_return")[0]
-    text = f"final return: residual {_said(outcome.final('return'))}, controller {controller:.2f}, gain {_said(gain)}"
+    text = f"final return: residual {_with_interval(outcome.final('return'))}, controller {controller:.2f}, gain {_with_interval(gain)}"
     return mean_interval(gain)[0] > 0, text
 
 
@@ -120,7 +121,7 @@ def success_grows(finding: Finding) -> tuple[bool, str]:
     """The last evaluation is at 15 of 20 or more, and above the first one by its interval over seeds."""
     curve = finding.outcomes[0].curve("success")
     first, last = curve.values[:, 0], curve.values[:, -1]
-    episodes = finding.outcomes[0].followed_episodes
+    episodes = int(finding.outcomes[0].point.config["trainer"]["evaluation"]["episodes"])
     low, high = success_interval(np.rint(last * episodes).astype(int).tolist(), episodes)
     text = f"success at step {curve.steps[0]:.0f}: {first.mean():.0%}, at {curve.steps[-1]:.0f}: {last.mean():.0%} "
     text += f"[{low:.0%}, {high:.0%}]"
@@ -129,81 +130,53 @@ def success_grows(finding: Finding) -> tuple[bool, str]:
 
 def learns_under_bias(finding: Finding) -> tuple[bool, str]:
     """At every bias the residual ends at 15 of 20 or more, and not below the controller."""
-    said, holds = [], True
+    parts, holds = [], True
     for outcome in finding.arm(RESIDUAL):
         residual, controller = (
             outcome.final("success").mean(),
             outcome.final("controller_success").mean(),
         )
-        said.append(
+        parts.append(
             f"mu = {outcome.point.value:g}: residual {residual:.0%}, controller {controller:.0%}"
         )
         holds &= bool(residual >= 15 / 20 and residual >= controller)
-    return holds, "; ".join(said)
+    return holds, "; ".join(parts)
 
 
 def transfers_quickly(finding: Finding) -> tuple[bool, str]:
     """From before environment step 1000 to the end the mean success over seeds is 90 % or more."""
-    said = [f"{arm}: {_steps_text(finding.arm(arm)[0])}" for arm in finding.arms]
+    parts = [f"{arm}: {_steps_text(finding.arm(arm)[0])}" for arm in finding.arms]
     steps = _steps_to_solve(finding.arm(SIM_ARM)[0])
-    text = f"steps after which success stays at {SOLVED:.0%}: {'; '.join(said)}"
+    text = f"steps after which success stays at {SOLVED:.0%}: {'; '.join(parts)}"
     return steps is not None and steps < FEW_STEPS, text
 
 
 def explores_wider(finding: Finding) -> tuple[bool, str]:
     """The summed variance of the positions visited: the intervals over seeds are apart."""
     residual, alone = (variances(finding.arm(arm)[0]).sum(axis=1) for arm in (RESIDUAL, ALONE))
-    text = f"variance of the positions visited [cm^2]: RL alone {_said(alone)}, residual {_said(residual)}"
+    text = f"variance of the positions visited [cm^2]: RL alone {_with_interval(alone)}, residual {_with_interval(residual)}"
     return mean_interval(alone)[0] > mean_interval(residual)[1], text
 
 
-CLAIMS: Sequence[tuple[str, str, Test]] = (
-    ("1a. In simulation residual RL learns faster than RL alone", "curves-sim", learns_faster),
-    (
-        "1b. In simulation residual RL ends above the controller",
-        "curves-sim",
-        ends_above_the_controller,
-    ),
-    (
-        "2a. On the real-like task residual RL learns faster than RL alone",
-        "curves-real",
-        learns_faster,
-    ),
-    (
-        "2b. On the real-like task residual RL ends above the controller",
-        "curves-real",
-        ends_above_the_controller,
-    ),
-    (
-        "3. Residual RL stays level as the blocks turn, while the controller falls",
-        "rotation",
-        stays_level,
-    ),
-    ("4. Residual RL stays level as control noise grows", "noise", withstands_noise),
-    (
-        "5. Residual RL stays level as control bias grows, while the controller falls",
-        "bias",
-        stays_level,
-    ),
-    (
-        "6a. Misaligned: about 15 of 20 with residual RL, about 2 of 20 by the controller",
-        "table",
-        solves_misaligned,
-    ),
-    ("6b. Aligned: 20 of 20 with residual RL and by the controller", "table", solves_aligned),
-    ("7. Misaligned success grows within 8000 samples", "success-real", success_grows),
-    (
-        "8. Control bias does not stop learning on the real-like task",
-        "bias-real",
-        learns_under_bias,
-    ),
-    (
-        "9. On a policy from simulation residual RL succeeds in under 1000 steps",
-        "sim-to-real",
-        transfers_quickly,
-    ),
-    ("10. RL alone visits a wider spread of states", "exploration", explores_wider),
+CLAIMS: Sequence[tuple[str, str, Test]] = tuple(
+    (f"{number} {claim}", experiment, test)
+    for number, claim, experiment, test in (
+        ("1a.", "In simulation residual RL learns faster than RL alone", "curves-sim", learns_faster),
+        ("1b.", "In simulation residual RL ends above the controller", "curves-sim", ends_above),
+        ("2a.", "On the real-like task it learns faster than RL alone", "curves-real", learns_faster),
+        ("2b.", "On the real-like task it ends above the controller", "curves-real", ends_above),
+        ("3.", "It stays level as the blocks turn, the controller falls", "rotation", stays_level),
+        ("4.", "It stays level as control noise grows", "noise", withstands_noise),
+        ("5.", "It stays level as control bias grows, the controller falls", "bias", stays_level),
+        ("6a.", "Misaligned: about 15 of 20, by the controller about 2", "table", solves_misaligned),
+        ("6b.", "Aligned: 20 of 20, and so by the controller", "table", solves_aligned),
+        ("7.", "Misaligned success grows within 8000 samples", "success-real", success_grows),
+        ("8.", "Bias does not stop learning, real-like task", "bias-real", learns_under_bias),
+        ("9.", "On a policy from simulation: under 1000 steps", "sim-to-real", transfers_quickly),
+        ("10.", "RL alone visits a wider spread of states", "exploration", explores_wider),
+    )
 )
+"""Number and words, experiment, test; "it" is residual RL."""
 
 
 def criterion(claim: str) -> str:
@@ -229,17 +202,11 @@ def _rates(first: Outcome, last: Outcome) -> str:
 
 
 def _counts(outcome: Outcome, scenario: str) -> tuple[float, float, str]:
-    count, rates = outcome.episodes, outcome.final("success", scenario)
-    solved, trials = round(float(rates.sum()) * count), count * len(rates)
-    controller = round(float(outcome.final("controller_success", scenario)[0]) * count)
-    said = []
-    for name, entry, n, of in (
-        ("residual", "success", solved, trials),
-        ("controller", "controller_success", controller, count),
-    ):
-        low, high = outcome.interval(entry, scenario)
-        said.append(f"{name} {n} of {of} [{low:.1%}, {high:.1%}], {20 * n / of:.1f} of 20")
-    return solved / trials, controller / count, "; ".join(said)
+    """Return the rates of residual and controller, and their counts by seed in words."""
+    both = outcome.counts(scenario), outcome.controller_counts(scenario)
+    named = zip(("residual", "controller"), both, strict=True)
+    text = "; ".join(f"{name} {counts}, {20 * counts.rate:.1f} of 20" for name, counts in named)
+    return both[0].rate, both[1].rate, text
 
 
 def _steps_to_solve(outcome: Outcome) -> int | None:
@@ -253,6 +220,6 @@ def _steps_text(outcome: Outcome) -> str:
     return f"{'not reached' if steps is None else steps} (from {start:.0%})"
 
 
-def _said(values: np.ndarray) -> str:
+def _with_interval(values: np.ndarray) -> str:
     low, high = mean_interval(values)
     return f"{values.mean():.2f} [{low:.2f}, {high:.2f}]"

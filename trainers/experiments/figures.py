@@ -15,26 +15,19 @@ from ..report.learning_curve import CONTROLLER_COLOR, RESIDUAL_COLOR
 from .outcomes import Finding, Outcome
 from .spec import Experiment
 from .spread import variances
-from .tables import success_rows
+from .tables import interval_of, success_rows
 
-COLOURS = (
-    RESIDUAL_COLOR,
-    "#e69f00",
-    "#009e73",
-    "#cc79a7",
-    "#56b4e9",
-    "#7a6a00",
-    "#4d4d4d",
-    "#8c2d04",
-)
-"""Apart for the colour-blind (after Okabe and Ito), and from the controller's."""
+__all__ = ["draw"]
+
+COLORS = (RESIDUAL_COLOR, *"#e69f00 #009e73 #cc79a7 #56b4e9 #7a6a00 #4d4d4d #8c2d04".split())
+"""Distinct for the color-blind (Okabe and Ito), and from the controller's."""
 MARKERS = "osD^vPX*"
-INTERVAL = "mean and 95 % interval"
+INTERVAL = "mean and 95 % confidence interval over seeds"
 PANELS = (("success", "success rate [%]", 100.0), ("return", "return of an episode", 1.0))
 
 
 def draw(experiment: Experiment, finding: Finding, folder: Path) -> Path:
-    """Draw an experiment's figure; returns the PNG, with the SVG beside it."""
+    """Draw an experiment's figure; return the PNG, with the SVG beside it."""
     kinds = {"curves": _curves, "sweep": _sweep, "spread": _spread, "table": _table}
     figure = kinds[experiment.figure](experiment, finding)
     folder.mkdir(parents=True, exist_ok=True)
@@ -49,7 +42,7 @@ def _curves(experiment: Experiment, finding: Finding) -> Figure:
     for axis, (entry, _, unit) in zip(axes, PANELS, strict=False):
         for i, outcome in enumerate(finding.outcomes):
             label = _label(experiment, outcome)
-            _band(axis, outcome, entry, unit, COLOURS[i % len(COLOURS)], label)
+            _band(axis, outcome, entry, unit, COLORS[i % len(COLORS)], label)
         _controllers(axis, finding, entry, unit)
         axis.set_xlabel("environment steps of one seed")
     _finish(figure, axes, experiment, finding)
@@ -57,20 +50,14 @@ def _curves(experiment: Experiment, finding: Finding) -> Figure:
 
 
 def _controllers(axis: Axes, finding: Finding, entry: str, unit: float) -> None:
-    """The controllers alone, dashed: one in its own colour, several each in the colour of what learns on top of it."""
+    """Draw the controllers alone, dashed: several in the colors of what learns on top of them."""
     having = [i for i, outcome in enumerate(finding.outcomes) if not outcome.acts_alone]
     for n, i in enumerate(having):
         curve = finding.outcomes[i].curve(f"controller_{entry}")
-        colour = CONTROLLER_COLOR if len(having) == 1 else COLOURS[i % len(COLOURS)]
+        color = CONTROLLER_COLOR if len(having) == 1 else COLORS[i % len(COLORS)]
         label = "controller alone" if len(having) == 1 else "the controller below it alone"
-        axis.plot(
-            curve.steps,
-            curve.mean * unit,
-            "--",
-            color=colour,
-            lw=1.4,
-            label=label if n == 0 else None,
-        )
+        shown = label if n == 0 else None
+        axis.plot(curve.steps, unit * curve.mean, "--", color=color, lw=1.4, label=shown)
 
 
 def _sweep(experiment: Experiment, finding: Finding) -> Figure:
@@ -78,7 +65,7 @@ def _sweep(experiment: Experiment, finding: Finding) -> Figure:
     figure, axes = _panels(experiment, finding)
     for axis, (entry, _, unit) in zip(axes, PANELS, strict=False):
         for i, arm in enumerate(finding.arms):
-            _errors(axis, finding.arm(arm), entry, unit, arm, color=COLOURS[i], marker=MARKERS[i])
+            _errors(axis, finding.arm(arm), entry, unit, arm, color=COLORS[i], marker=MARKERS[i])
         first = finding.arm(finding.arms[0])
         look = {"color": CONTROLLER_COLOR, "marker": "s", "linestyle": "--"}
         _errors(axis, first, f"controller_{entry}", unit, "controller alone", **look)
@@ -98,17 +85,9 @@ def _spread(experiment: Experiment, finding: Finding) -> Figure:
         at = np.arange(values.shape[1]) + (i - (len(finding.outcomes) - 1) / 2) * width
         low, high = np.array([mean_interval(column) for column in values.T]).T
         mean = values.mean(axis=0)
-        error = np.array([mean - np.maximum(low, 0.0), high - mean])
-        axis.bar(
-            at,
-            mean,
-            0.9 * width,
-            yerr=error,
-            capsize=3,
-            color=COLOURS[i],
-            alpha=0.75,
-            label=outcome.point.arm,
-        )
+        error = np.nan_to_num([mean - np.maximum(low, 0.0), high - mean])
+        look = {"capsize": 3, "color": COLORS[i], "alpha": 0.75, "label": outcome.point.arm}
+        axis.bar(at, mean, 0.9 * width, yerr=error, **look)
         for row in values:
             axis.plot(at, row, ".", color="black", ms=4, alpha=0.6)
     axis.set_xticks(range(4), ["x", "y", "z", "sum"])
@@ -131,11 +110,8 @@ def _table(experiment: Experiment, finding: Finding) -> Figure:
     table.auto_set_column_width(range(len(header)))
     table.scale(1, 1.6)
     first = finding.outcomes[0]
-    said = f"{len(first.seeds)} seeds, the same {first.episodes} episodes for each and for the controller"
-    figure.suptitle(
-        f"{experiment.title} ({experiment.paper})\n{said}; 95 % intervals over runs and episodes",
-        fontsize=10,
-    )
+    text = f"{len(first.runs)} seeds, the same {first.episodes} episodes for each and the controller"
+    figure.suptitle(f"{experiment.title} ({experiment.paper})\n{text}", fontsize=10)
     return figure
 
 
@@ -155,42 +131,38 @@ def _finish(figure: Figure, axes: Sequence[Axes], experiment: Experiment, findin
         axis.grid(alpha=0.25)
         axis.spines[["top", "right"]].set_visible(False)
     handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(
-        handles,
-        labels,
-        loc="outside lower center",
-        ncols=min(3, len(labels)),
-        frameon=False,
-        fontsize=9,
-    )
-    counts = sorted({len(outcome.seeds) for outcome in finding.outcomes})
+    look: dict[str, Any] = {"loc": "outside lower center", "frameon": False, "fontsize": 9}
+    figure.legend(handles, labels, ncols=min(3, len(labels)), **look)
+    counts = sorted({len(outcome.runs) for outcome in finding.outcomes})
     seeds = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
-    figure.suptitle(
-        f"{experiment.title} ({experiment.paper})\n{seeds} seeds, {INTERVAL}", fontsize=10
-    )
+    title = f"{experiment.title} ({experiment.paper})\n{seeds} seeds, {INTERVAL}"
+    figure.suptitle(title, fontsize=10)
 
 
 def _label(experiment: Experiment, outcome: Outcome) -> str:
-    if experiment.sweep is None:
-        return outcome.point.arm
-    return (
-        f"{outcome.point.arm}, {experiment.sweep.key.rpartition('.')[2]} = {outcome.point.value:g}"
-    )
+    arm, sweep = outcome.point.arm, experiment.sweep
+    return f"{arm}, {sweep.key.rpartition('.')[2]} = {outcome.point.value:g}" if sweep else arm
 
 
-def _band(axis: Axes, outcome: Outcome, entry: str, unit: float, color: str, label: str) -> None:
+def _band(
+    axis: Axes, outcome: Outcome, entry: str, unit: float, color: str, label: str
+) -> None:
     curve = outcome.curve(entry)
-    if band := curve.band(outcome.followed_episodes if entry == "success" else None):
-        low, high = (bound * unit for bound in band)
+    episodes = int(outcome.point.config["trainer"]["evaluation"]["episodes"])
+    if band := curve.band(episodes if entry == "success" else None):
+        low, high = (unit * bound for bound in band)
         axis.fill_between(curve.steps, low, high, color=color, alpha=0.18, linewidth=0)
-    axis.plot(curve.steps, curve.mean * unit, color=color, lw=2, label=label)
+    axis.plot(curve.steps, unit * curve.mean, color=color, lw=2, label=label)
 
 
 def _errors(
     axis: Axes, outcomes: Sequence[Outcome], entry: str, unit: float, label: str, **look: Any
 ) -> None:
-    mean = np.array([outcome.final(entry).mean() for outcome in outcomes]) * unit
-    low, high = np.array([outcome.interval(entry) for outcome in outcomes]).T * unit
-    at = np.array([outcome.point.value for outcome in outcomes], dtype=float)
-    error = np.maximum(0.0, [mean - low, high - mean])
-    axis.errorbar(at, mean, error, capsize=3, lw=2, ms=5, label=label, **look)
+    """Draw final values over the sweep; the controller's are the same for every seed."""
+    mean = np.array([outcome.final(entry).mean() for outcome in outcomes])
+    low, high = mean, mean
+    if not entry.startswith("controller"):
+        low, high = np.array([interval_of(outcome, entry) for outcome in outcomes]).T
+    at = [outcome.point.value for outcome in outcomes]
+    error = unit * np.nan_to_num(np.maximum(0.0, [mean - low, high - mean]))
+    axis.errorbar(at, unit * mean, error, capsize=3, lw=2, ms=5, label=label, **look)

@@ -1,22 +1,48 @@
-"""What the runs of a point came to, its groups of seeds put together again."""
+"""What the runs of a point came to, its seeds put together again."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..evaluation.statistics import Interval, mean_interval, success_interval
-from ..launch.store import Store
+from ..evaluation.statistics import success_interval
+from ..launch.job import Job
 from ..loggers import metrics
 from ..report.curves import Curve, curve
-from ..report.runs import Group, Run
-from .plan import Point
+from ..report.runs import Run
+from .plan import Point, run_directory
+
+__all__ = ["Counts", "Finding", "Findings", "Outcome", "gather"]
 
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Successes of several runs on frozen episodes, the same ones for each run.
+
+    Attributes:
+        solved: By run ``[S]``.
+        episodes: Of each run.
+    """
+
+    solved: tuple[int, ...]
+    episodes: int
+
+    @property
+    def rate(self) -> float:
+        """Share of the episodes that are solved."""
+        return sum(self.solved) / (len(self.solved) * self.episodes)
+
+    def __str__(self) -> str:
+        low, high = success_interval(self.solved, self.episodes)
+        each = "/".join(map(str, self.solved))
+        return f"{each} of {self.episodes} [{low:.0%}, {high:.0%}]"
 
 
 @dataclass(frozen=True)
@@ -24,27 +50,17 @@ class Outcome:
     """The finished runs of one point.
 
     Attributes:
-        point: arm, setting, configuration.
-        runs: one for each group of seeds.
+        point: Arm, setting, configuration.
+        runs: One for each seed that is finished.
     """
 
     point: Point
     runs: tuple[Run, ...]
 
-    @cached_property
-    def seeds(self) -> list[int]:
-        """Seeds that are finished, of those that were asked for."""
-        return [run.seed for run in self._runs]
-
     @property
     def followed(self) -> str:
         """The scenario that was evaluated during training."""
         return self.runs[0].followed
-
-    @property
-    def followed_episodes(self) -> int:
-        """Episodes of an evaluation during training."""
-        return Group("", self.runs).followed_episodes
 
     @property
     def scenarios(self) -> list[str]:
@@ -63,34 +79,29 @@ class Outcome:
 
     def final(self, entry: str, scenario: str | None = None) -> Floats:
         """Return one entry of the final evaluation's summary, by seed ``[S]``."""
-        found = [run.results[scenario or self.followed]["summary"] for run in self._runs]
-        return np.array([summary[entry] for summary in found])
+        return np.array([run.summary(scenario)[entry] for run in self.runs], dtype=float)
 
-    def interval(self, entry: str, scenario: str | None = None) -> Interval:
-        """Return the 95 % interval of an entry's mean over runs; the controller's over episodes."""
-        values = self.final(entry, scenario)
-        if entry not in ("success", "controller_success"):
-            return mean_interval(values)
-        counts = np.rint(values * self.episodes).astype(int).tolist()
-        return success_interval(counts if entry == "success" else counts[:1], self.episodes)
+    def counts(self, scenario: str | None = None) -> Counts:
+        """Return how many episodes each run solves."""
+        solved = np.rint(self.final("success", scenario) * self.episodes)
+        return Counts(tuple(map(int, solved)), self.episodes)
+
+    def controller_counts(self, scenario: str | None = None) -> Counts:
+        """Return how many episodes the controller solves, which is the same for every run."""
+        solved = round(self.final("controller_success", scenario)[0] * self.episodes)
+        return Counts((solved,), self.episodes)
 
     def knows(self, entry: str) -> bool:
         """Return whether the final evaluation has that entry."""
-        return entry in self.runs[0].results[self.followed]["summary"]
+        return all(entry in run.summary() for run in self.runs)
 
     def curve(self, entry: str) -> Curve:
-        """Return an entry of the evaluations during training.
-
-        Raises:
-            KeyError: If a run has not logged it.
-        """
+        """Return an entry of the followed scenario's evaluations, over environment steps."""
         name = metrics.name(metrics.EVALUATION, self.followed, entry)
-        return curve({run.seed: run.record[name] for run in self._runs})
-
-    @property
-    def _runs(self) -> list[Run]:
-        wanted = [run for run in self.runs if run.seed in self.point.seeds]
-        return sorted(wanted, key=lambda run: run.seed)
+        series = {i: run.record.get(name, []) for i, run in enumerate(self.runs)}
+        if not all(series.values()):
+            raise KeyError(name)
+        return curve(series)
 
 
 @dataclass(frozen=True)
@@ -101,7 +112,7 @@ class Finding:
     outcomes: tuple[Outcome, ...]
 
     def arm(self, name: str) -> list[Outcome]:
-        """The outcomes of one arm, by setting."""
+        """Return the outcomes of one arm, by setting."""
         return [outcome for outcome in self.outcomes if outcome.point.arm == name]
 
     @property
@@ -114,16 +125,13 @@ Findings = Mapping[str, Finding]
 """Experiment's name to what was found."""
 
 
-def gather(points: Sequence[Point], store: Store) -> Findings:
-    """Read what is finished; points without a finished run are left out, and so are runs that others start from."""
-    found: dict[str, list[Outcome]] = {}
-    for point in points:
-        outcomes = found.setdefault(point.experiment, [])
-        runs = [
-            run
-            for run in store.runs(point.key)
-            if run.finished and set(run.seeds) & set(point.seeds)
-        ]
-        if runs and not point.whole:
-            outcomes.append(Outcome(point, tuple(Run(run.path, run.name) for run in runs)))
-    return {name: Finding(name, tuple(outcomes)) for name, outcomes in found.items()}
+def gather(points: Sequence[Point], done: Sequence[Job], out: Path) -> Findings:
+    """Read the runs that are done; points without one are left out, and so are sources."""
+    names = {job.path: job.name for job in done}
+    found: dict[str, list[Outcome]] = {point.experiment: [] for point in points}
+    for point in points if names else ():
+        paths = [run_directory(point, seed, out) for seed in point.seeds]
+        runs = tuple(Run(path, names[path]) for path in paths if path in names)
+        if runs and point.shown:
+            found[point.experiment].append(Outcome(point, runs))
+    return {name: Finding(name, tuple(o)) for name, o in found.items() if o}

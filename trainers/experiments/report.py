@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import yaml
 
-from ..launch.pool import Ending, tail
-from ..launch.store import recorded_overrides
+from ..launch.pool import Ending
 from ..report.page import Page
 from ..storage.versions import versions
 from .claims import Verdict, criterion
 from .outcomes import Finding, Findings
+from .plan import command
 from .spec import Experiment, Settings
 from .tables import final_rows, overall_iqm, success_rows
+
+__all__ = ["write_report"]
 
 
 def write_report(
@@ -30,34 +31,27 @@ def write_report(
 ) -> Path:
     """Write the HTML file ``out``; the figures enter as SVG."""
     page = Page("Residual reinforcement learning for robot control: the experiments again")
-    scale = settings.scales[settings.scale]
     page.text(
-        f"Scale `{settings.scale}`: {scale.seeds} seeds. Every number is from frozen episodes without exploration, "
-        "the same for every seed and arm; the controller alone runs the same episodes. Means are over seeds with "
-        "Student's t interval; IQM is the interquartile mean with a stratified bootstrap."
+        f"Scale `{settings.scale}`: {settings.scales[settings.scale].seeds} seeds, each a run of "
+        "its own. Every number is from frozen episodes without exploration, the same for every "
+        "seed and arm; the controller alone runs the same episodes. Means are over seeds with "
+        "Student's t interval; intervals of success count seeds, not episodes, as independent; IQM "
+        "is the interquartile mean with a stratified bootstrap."
     )
-    _claims(page, verdicts)
+    page.section("The paper's claims")
+    rows = [[v.claim, v.word, v.numbers, criterion(v.claim)] for v in verdicts]
+    page.table(["claim", "verdict", "numbers", "criterion"], rows)
     if video is not None:
         page.section("One episode, twice")
-        page.video(
-            video,
-            "The same frozen episode: the controller alone fails, with the learned residual it succeeds.",
-        )
+        text = "The same frozen episode: the controller fails, with the residual it succeeds."
+        page.video(video, text)
     for experiment in experiments:
         _experiment(page, experiment, findings[experiment.name], figures[experiment.name])
     _failures(page, ending)
-    _configurations(page, experiments, findings)
+    _configurations(page, experiments, findings, out.parent)
     page.section("Versions")
     page.table(["package", "version"], [[name, version] for name, version in versions().items()])
     return page.write(out)
-
-
-def _claims(page: Page, verdicts: Sequence[Verdict]) -> None:
-    page.section("The paper's claims")
-    page.table(
-        ["claim", "verdict", "numbers", "criterion"],
-        [[v.claim, v.word, v.numbers, criterion(v.claim)] for v in verdicts],
-    )
 
 
 def _experiment(page: Page, experiment: Experiment, finding: Finding, figure: Path) -> None:
@@ -67,45 +61,32 @@ def _experiment(page: Page, experiment: Experiment, finding: Finding, figure: Pa
         page.table(*final_rows(experiment, finding))
     if finding.outcomes[0].knows("success") and experiment.figure in ("table", "sweep"):
         page.table(*success_rows(experiment, finding))
-    if experiment.sweep:
-        for arm in finding.arms:
-            outcomes = finding.arm(arm)
-            said = "; ".join(
-                f"{e} {overall_iqm(outcomes, e)}"
-                for e in ("return", "success")
-                if outcomes[0].knows(e)
-            )
-            page.text(
-                f"{arm}, all settings together, IQM with bootstrap stratified by setting: {said}."
-            )
+    for arm in finding.arms if experiment.sweep else ():
+        outcomes = finding.arm(arm)
+        known = [entry for entry in ("return", "success") if outcomes[0].knows(entry)]
+        text = "; ".join(f"{entry} {overall_iqm(outcomes, entry)}" for entry in known)
+        page.text(f"{arm}, all settings, IQM with bootstrap stratified by setting: {text}.")
     page.text(f"Again: `rrl reproduce {experiment.name}`.")
 
 
 def _failures(page: Page, ending: Ending) -> None:
-    if not ending.failed and not ending.blocked:
-        return
-    page.section("Runs that failed")
+    if ending.failed or ending.blocked:
+        page.section("Runs that failed")
     for job in ending.failed:
-        page.details(job.run.name, tail(job.run, 60))
+        page.details(job.name, job.log_tail(60))
     for job in ending.blocked:
-        page.text(
-            f"`{job.run.name}` was not started: it needs {', '.join(run.name for run in job.needs)}."
-        )
+        page.text(f"`{job.name}` was not started: it needs {', '.join(map(str, job.needs))}.")
 
 
-def _configurations(page: Page, experiments: Sequence[Experiment], findings: Findings) -> None:
+def _configurations(
+    page: Page, experiments: Sequence[Experiment], findings: Findings, out: Path
+) -> None:
     page.section("Configurations")
-    page.text(
-        "Each run can be made again alone, with the command that its configuration begins with."
-    )
-    shown = set()
-    for experiment in experiments:
-        for outcome in findings[experiment.name].outcomes:
-            for run in outcome.runs:
-                if run.path in shown:
-                    continue
-                shown.add(run.path)
-                command = shlex.join(["rrl", "train", *recorded_overrides(run.path)])
-                page.details(
-                    run.label, f"{command}\n\n{yaml.safe_dump(run.config, sort_keys=False)}"
-                )
+    page.text("Each run can be made again alone, with the command that stands first.")
+    outcomes = [outcome for e in experiments for outcome in findings[e.name].outcomes]
+    for outcome in {outcome.point.key: outcome for outcome in outcomes}.values():
+        run = outcome.runs[0]
+        again = command(outcome.point, run.config["trainer"]["seed"], out)
+        config = yaml.safe_dump(run.config, sort_keys=False)
+        title = f"{run.path.parent.name}, {len(outcome.runs)} seeds"
+        page.details(title, f"{again}\n\n{config}")

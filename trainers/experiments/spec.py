@@ -12,6 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from ..configuration.checks import PlainName, explain
 from ..settings import Positive
 
+__all__ = ["Experiment", "Overrides", "Scale", "Settings", "Sweep", "load_experiments", "load_settings"]
+
 Overrides = tuple[str, ...]
 FOLDER = "experiment"
 DEFAULTS = "reproduce.yaml"
@@ -25,9 +27,9 @@ class Sweep(_Section):
     """One key of the configuration, set to one value after another.
 
     Attributes:
-        key: the dotted key.
-        label: what it is, with its unit, for an axis.
-        values: by scale.
+        key: The dotted key.
+        label: What it is, with its unit, for an axis.
+        values: By scale.
     """
 
     key: str
@@ -39,16 +41,17 @@ class Experiment(_Section):
     """Arms x settings x seeds, and what is drawn of them.
 
     Attributes:
-        name: of the file.
-        title: what is shown.
-        paper: where the paper has it.
-        figure: what is drawn: ``curves``, ``sweep``, ``table`` or ``spread``.
-        runs_of: another experiment whose runs these are.
-        overrides: of ``rrl train``, for every run.
-        sources: runs that others start from, by name; an arm's ``key=run:NAME`` becomes the directory of that run.
-        arms: name to overrides.
-        sweep: settings of every arm.
-        scales: further overrides, by scale.
+        name: Name of the file.
+        title: What is shown.
+        paper: Where the paper has it.
+        figure: What is drawn: ``curves``, ``sweep``, ``table`` or ``spread``.
+        runs_of: Another experiment whose runs these are.
+        overrides: Overrides of ``rrl train``, for every run.
+        sources: Runs that others start from, by name: ``key=run:NAME`` in an arm becomes the
+            directory of that run with the same seed.
+        arms: Name to overrides.
+        sweep: Settings of every arm.
+        scales: Further overrides, by scale.
     """
 
     name: str
@@ -72,10 +75,9 @@ class Experiment(_Section):
 
 
 class Scale(_Section):
-    """How much of everything: seeds, stacked seeds at most, overrides."""
+    """How much of everything: seeds, overrides."""
 
     seeds: Positive
-    stack: Positive
     overrides: Overrides = ()
 
 
@@ -100,24 +102,24 @@ def load_experiments(names: Sequence[str], folders: Sequence[Path]) -> list[Expe
     """Read experiments by name; none named: all.
 
     Args:
-        names: of the files, without ``.yaml``.
-        folders: folders of configurations, the first one that has the file is read.
+        names: Names of the files, without ``.yaml``.
+        folders: Folders of configurations; the first one that has the file is read.
 
     Raises:
-        ValueError: an unknown name, or a file that is not an experiment; the message says what was expected.
+        ValueError: If a name is unknown, or a file is no experiment.
     """
     known: dict[str, Path] = {}
     for folder in reversed(folders):
         known |= {path.stem: path for path in sorted((folder / FOLDER).glob("*.yaml"))}
     if unknown := [name for name in names if name not in known]:
-        raise ValueError(
-            f"unknown experiment {', '.join(unknown)}; choose from {', '.join(sorted(known))}"
-        )
+        choices = ", ".join(sorted(known))
+        raise ValueError(f"experiment: expected one of {choices}, got {', '.join(unknown)}")
     found = {name: _read(name, known[name]) for name in dict.fromkeys(names or known)}
     for experiment in list(found.values()):
         if experiment.runs_of and experiment.runs_of not in known:
+            choices = ", ".join(sorted(known))
             raise ValueError(
-                f"{experiment.name}: runs_of: unknown experiment {experiment.runs_of!r}"
+                f"{experiment.name}.runs_of: expected one of {choices}, got {experiment.runs_of!r}"
             )
     return [
         _with_runs(e, _read(e.runs_of, known[e.runs_of])) if e.runs_of else e
@@ -129,13 +131,14 @@ def load_settings(folders: Sequence[Path], changes: dict[str, Any]) -> Settings:
     """Read the command's settings and change some.
 
     Raises:
-        ValueError: unknown keys or values.
+        ValueError: If keys or values are unknown.
     """
     path = next(folder / DEFAULTS for folder in folders if (folder / DEFAULTS).is_file())
     values = yaml.safe_load(path.read_text(encoding="utf-8"))
     changeable = [key for key, value in values.items() if not isinstance(value, (list, dict))]
     if unknown := sorted(set(changes) - set(changeable)):
-        raise ValueError(f"unknown setting {', '.join(unknown)}; expected {', '.join(changeable)}")
+        choices = ", ".join(changeable)
+        raise ValueError(f"setting: expected one of {choices}, got {', '.join(unknown)}")
     return _validated(Settings, {**values, **changes}, path.name)
 
 

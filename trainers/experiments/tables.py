@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from ..evaluation.statistics import iqm, iqm_interval
+from ..evaluation.statistics import iqm, iqm_interval, mean_interval, success_interval
 from .outcomes import Finding, Outcome
 from .spec import Experiment
+
+__all__ = ["final_rows", "interval_of", "overall_iqm", "success_rows"]
 
 Table = tuple[list[str], list[list[str]]]
 """Header and rows."""
@@ -19,19 +20,10 @@ TRIALS = 20
 
 
 def success_rows(experiment: Experiment, finding: Finding) -> Table:
-    """Counts of success by scenario, controller against every arm on the same episodes."""
+    """Return successes by scenario, every arm and the controller on the same episodes."""
     setting = _setting(experiment)
-    header = [
-        "scenario",
-        "arm",
-        *setting,
-        "succeeded (all seeds)",
-        "95 % interval",
-        "of 20",
-        "controller",
-        "of 20",
-    ]
-    header += ["rescued / broken", "McNemar's p, by seed"]
+    header = ["scenario", "arm", *setting, "succeeded, by seed [95 % interval of the rate]"]
+    header += ["of 20", "controller", "of 20", "rescued / broken", "McNemar's p, by seed"]
     return header, [
         _success_row(outcome, scenario, bool(setting))
         for outcome in finding.outcomes
@@ -41,76 +33,58 @@ def success_rows(experiment: Experiment, finding: Finding) -> Table:
 
 
 def final_rows(experiment: Experiment, finding: Finding) -> Table:
-    """Final return and success of every arm at every setting, with mean and interquartile mean over seeds."""
+    """Return final return and success of every arm at every setting, over seeds."""
     setting = _setting(experiment)
-    header = [
-        "arm",
-        *setting,
-        "seeds",
-        "return: mean [95 % CI]",
-        "return: IQM [bootstrap 95 %]",
-        "controller's return",
-    ]
-    header += [
-        "success [%]: mean [95 % CI]",
-        "success [%]: IQM [bootstrap 95 %]",
-        "controller's success [%]",
-    ]
+    header = ["arm", *setting, "seeds"]
+    for entry in ("return", "success [%]"):
+        header += [f"{entry}: mean [95 % CI]", f"{entry}: IQM [bootstrap 95 %]"]
+        header += [f"controller's {entry}"]
     return header, [_final_row(outcome, bool(setting)) for outcome in finding.outcomes]
 
 
 def overall_iqm(outcomes: Sequence[Outcome], entry: str) -> str:
-    """Interquartile mean over seeds and settings, resampled within each setting."""
-    return _iqm(
-        [outcome.final(entry) for outcome in outcomes], 100.0 if entry.endswith("success") else 1.0
-    )
+    """Return the interquartile mean over seeds and settings, resampled within each setting."""
+    unit = 100.0 if entry.endswith("success") else 1.0
+    return _iqm([outcome.final(entry) for outcome in outcomes], unit)
 
 
 def _setting(experiment: Experiment) -> list[str]:
-    """The column of the sweep's values, if there is a sweep."""
+    """Return the column of the sweep's values, if there is a sweep."""
     return [experiment.sweep.key.rpartition(".")[2]] if experiment.sweep else []
 
 
 def _success_row(outcome: Outcome, scenario: str, with_setting: bool) -> list[str]:
-    count = outcome.episodes
-    rates = outcome.final("success", scenario)
-    solved, trials = round(float(rates.sum()) * count), count * len(rates)
-    controller = round(float(outcome.final("controller_success", scenario)[0]) * count)
-    rescued, broken = (
-        int(outcome.final(entry, scenario).sum()) for entry in ("rescues", "regressions")
-    )
-    return [
-        scenario,
-        outcome.point.arm,
-        *([f"{outcome.point.value:g}"] if with_setting else []),
-        f"{solved} of {trials}",
-        _percent(outcome.interval("success", scenario)),
-        f"{TRIALS * solved / trials:.1f}",
-        f"{controller} of {count} {_percent(outcome.interval('controller_success', scenario))}",
-        f"{TRIALS * controller / count:.1f}",
-        f"{rescued} / {broken}",
-        ", ".join(f"{p:.1g}" for p in outcome.final("mcnemar_p", scenario)),
-    ]
+    cells = [scenario, outcome.point.arm, *_value(outcome, with_setting)]
+    for counts in (outcome.counts(scenario), outcome.controller_counts(scenario)):
+        cells += [str(counts), f"{TRIALS * counts.rate:.1f}"]
+    changes = [outcome.final(entry, scenario).sum() for entry in ("rescues", "regressions")]
+    cells.append(f"{changes[0]:.0f} / {changes[1]:.0f}")
+    return [*cells, ", ".join(f"{p:.1g}" for p in outcome.final("mcnemar_p", scenario))]
 
 
 def _final_row(outcome: Outcome, with_setting: bool) -> list[str]:
-    cells = [
-        outcome.point.arm,
-        *([f"{outcome.point.value:g}"] if with_setting else []),
-        str(len(outcome.seeds)),
-    ]
+    cells = [outcome.point.arm, *_value(outcome, with_setting), str(len(outcome.runs))]
     for entry, unit in (("return", 1.0), ("success", 100.0)):
         if not outcome.knows(entry):
             return [*cells, "", "", ""]
-        values = outcome.final(entry)
-        mean = f"{values.mean() * unit:.2f} {_interval(outcome.interval(entry), unit)}"
-        controller = (
-            "none"
-            if outcome.acts_alone
-            else f"{outcome.final(f'controller_{entry}').mean() * unit:.2f}"
-        )
-        cells += [mean, _iqm([values], unit), controller]
+        values, controller = outcome.final(entry), outcome.final(f"controller_{entry}")
+        interval = interval_of(outcome, entry)
+        cells.append(f"{values.mean() * unit:.2f} {_interval(interval, unit)}")
+        cells.append(_iqm([values], unit))
+        cells.append("none" if outcome.acts_alone else f"{controller.mean() * unit:.2f}")
     return cells
+
+
+def interval_of(outcome: Outcome, entry: str) -> tuple[float, float]:
+    """Return the 95 % interval of a final entry's mean over seeds; of a rate within 0 and 1."""
+    if entry == "success":
+        counts = outcome.counts()
+        return success_interval(counts.solved, counts.episodes)
+    return mean_interval(outcome.final(entry))
+
+
+def _value(outcome: Outcome, with_setting: bool) -> list[str]:
+    return [f"{outcome.point.value:g}"] if with_setting else []
 
 
 def _iqm(strata: Sequence[np.ndarray], unit: float) -> str:
@@ -118,9 +92,4 @@ def _iqm(strata: Sequence[np.ndarray], unit: float) -> str:
 
 
 def _interval(interval: tuple[float, float], unit: float) -> str:
-    low, high = (end * unit for end in interval)
-    return "(one run)" if math.isnan(low) else f"[{low:.2f}, {high:.2f}]"
-
-
-def _percent(interval: tuple[float, float]) -> str:
-    return f"[{interval[0]:.1%}, {interval[1]:.1%}]"
+    return f"[{interval[0] * unit:.2f}, {interval[1] * unit:.2f}]"

@@ -1,52 +1,38 @@
-"""A video of an episode that the controller fails and the residual solves, from the runs of an experiment."""
+"""A video of an episode that the controller fails and the residual solves."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from rich.console import Console
-
+from ..console import Output
 from ..launch.launchers import spawn
 from ..report.runs import Run
 from .outcomes import Findings
 
-EPISODES = 25
-"""Of the frozen ones, searched for such an episode."""
+__all__ = ["rescue_video"]
 
 
-def rescue_video(findings: Findings, console: Console) -> Path | None:
-    """The video of the run with the most rescued episodes; made by ``rrl render`` if it is not there.
+def rescue_video(findings: Findings, console: Output) -> Path | None:
+    """Return the video of the run with the most rescued episodes; ``rrl render`` makes it.
 
     Returns:
         None if no run has rescued an episode, or the machine cannot render.
     """
-    best = _most_rescues(findings)
-    if best is None:
+    rescues: dict[Run, float] = {
+        run: run.summary()["rescues"]
+        for finding in findings.values()
+        for outcome in finding.outcomes
+        if outcome.knows("rescues") and not outcome.acts_alone
+        for run in outcome.runs
+        if run.config["env"].get("renderer")
+    }
+    if not any(rescues.values()):
         return None
-    run = best
+    run = max(rescues, key=lambda run: rescues[run])
     if not run.videos:
-        console.print(f"rendering an episode of {run.label}", highlight=False, soft_wrap=True)
-        command = ["render", f"run={run.path}", "render.enabled=true"]
-        spawn(
-            [*command, f"trainer.evaluation.final_episodes={EPISODES}"], run.path / "render.txt"
-        ).wait()
+        console.say(f"rendering an episode of {run.label}")
+        spawn(["render", f"run={run.path}"], run.path / "render.txt").wait()
     if not run.videos:
-        console.print(
-            f"no video: see {run.path / 'render.txt'}",
-            style="yellow",
-            highlight=False,
-            soft_wrap=True,
-        )
+        console.say(f"no video: see {run.path / 'render.txt'}", style="yellow")
         return None
     return run.videos[0]
-
-
-def _most_rescues(findings: Findings) -> Run | None:
-    best, most = None, 0.0
-    for finding in findings.values():
-        for outcome in finding.outcomes:
-            for run in outcome.runs if outcome.knows("rescues") and not outcome.acts_alone else ():
-                rescues = run.results[run.followed]["summary"]["rescues"]
-                if run.config["env"].get("renderer") and rescues > most:
-                    best, most = run, rescues
-    return best

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from rich.console import Console
 from rich.progress import (
     BarColumn,
     Progress,
@@ -17,9 +16,12 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from ..experiments.plan import Job
+from ..console import Output
 from ..loggers import metrics
 from ..storage.run_files import METRICS
+from .job import Job
+
+__all__ = ["Display", "latest"]
 
 TAIL_BYTES = 2**16
 SPEED_SECONDS = 600.0
@@ -27,22 +29,27 @@ SPEED_SECONDS = 600.0
 
 
 class Display:
-    """A bar for all runs and one for each that is under way, or plain lines where the output is no terminal."""
+    """A bar for all runs and one for each that is under way; plain lines where there is no terminal."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Output) -> None:
         self.console = console
         self._jobs: dict[TaskID, Job] = {}
         self._success: dict[Path, float] = {}
 
     @contextmanager
-    def showing(self, jobs: Sequence[Job], done: Sequence[Job]) -> Iterator[None]:
+    def showing(self, jobs: Sequence[Job], done: Sequence[Job], slots: int) -> Iterator[None]:
         """Show the bars while the body runs."""
+        total = sum(job.total_steps for job in jobs)
         self._count, self._ended, self._failed = len(jobs), len(done), 0
-        self._ended_work = sum(job.work for job in done)
+        self._ended_steps = sum(job.total_steps for job in done)
+        self.console.say(
+            f"{len(jobs)} runs, {len(done)} of them finished; {total - self._ended_steps:,} "
+            f"environment steps to go, {slots} runs at a time"
+        )
         self._bars = Progress(
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=24),
-            TextColumn("{task.fields[status]}"),
+            TextColumn("{task.fields[status]}", markup=False),
             TimeElapsedColumn(),
             TimeRemainingColumn(),
             console=self.console,
@@ -51,20 +58,15 @@ class Display:
             refresh_per_second=2,
         )
         with self._bars:
-            total = sum(job.work for job in jobs)
-            self._all = self._bars.add_task(
-                "", total=total or None, completed=self._ended_work, status=""
-            )
+            self._all = self._bars.add_task("", total=total or None, status="")
             self.refresh()
             yield
 
     def started(self, job: Job) -> None:
         """Add a run's bar."""
         if not self.console.is_terminal:
-            self.console.print(f"started  {job.run.name}", highlight=False, soft_wrap=True)
-        self._jobs[self._bars.add_task(job.run.name, total=job.total_steps or None, status="")] = (
-            job
-        )
+            self.console.say(f"started  {job.name}")
+        self._jobs[self._bars.add_task(job.name, total=job.total_steps or None, status="")] = job
 
     def ended(self, job: Job, done: bool) -> None:
         """Remove a run's bar."""
@@ -73,51 +75,56 @@ class Display:
             del self._jobs[task]
         self._ended += 1
         self._failed += not done
-        self._ended_work += job.work
-        _, success = latest(job.run.path)
-        said = f"success {success:.0%}" if success is not None else ""
-        word = "done   " if done else "FAILED "
-        self.console.print(f"{word}  {job.run.name}  {said}", highlight=False, soft_wrap=True)
+        self._ended_steps += job.total_steps
+        _, success = latest(job.path)
+        result = f"success {success:.0%}" if success is not None else ""
+        self.console.say(f"{'done   ' if done else 'FAILED '}  {job.name}  {result}")
 
     def refresh(self) -> None:
         """Read how far the runs are."""
         if not self.console.is_terminal:
             return
-        work = self._ended_work
+        total = self._ended_steps
         for task, job in self._jobs.items():
-            steps, success = latest(job.run.path)
+            steps, success = latest(job.path)
             if success is not None:
-                self._success[job.run.path] = success
-            known = self._success.get(job.run.path)
-            status = f"{steps} of {job.total_steps} steps" + (
-                f", success {known:.0%}" if known is not None else ""
-            )
+                self._success[job.path] = success
+            known = self._success.get(job.path)
+            status = f"{steps} of {job.total_steps} steps"
+            status += f", success {known:.0%}" if known is not None else ""
             self._bars.update(task, completed=steps, status=status)
-            work += steps * len(job.run.seeds)
+            total += steps
         failed = f", {self._failed} failed" if self._failed else ""
         status = f"{self._ended} of {self._count} runs{failed}"
-        self._bars.update(self._all, completed=work, description="all runs", status=status)
+        self._bars.update(self._all, completed=total, description="all runs", status=status)
 
 
 def latest(run_dir: Path) -> tuple[int, float | None]:
-    """Return the steps so far, and the last followed success near the end of ``metrics.csv``."""
-    steps, success = 0, None
+    """Return a run's environment steps, and the last success of the scenario that it follows.
+
+    Only the end of ``metrics.csv`` is read; the success is None if no evaluation is there.
+    """
+    steps, evaluated, success = 0, -1, None
     for line in _last_lines(run_dir / METRICS):
         cells = line.split(",")
-        if len(cells) != 3 or not cells[0].isdigit():
+        if len(cells) < 3 or not cells[0].isdigit():
             continue
         steps = int(cells[0])
-        group, _, rest = cells[1].partition("/")
-        if group == metrics.EVALUATION and rest.endswith("/success"):
-            success = float(cells[2])
+        group, _, entry = cells[-2].partition("/")
+        first = steps > evaluated  # the followed scenario is evaluated before the others
+        if first and group == metrics.EVALUATION and entry.count("/") == 1:
+            if entry.endswith("/success"):
+                evaluated, success = steps, float(cells[-1])
     return steps, success
 
 
 def _last_lines(path: Path) -> list[str]:
+    """Return whole lines from the end of a file; the last one may not be written to its end yet."""
     try:
         with path.open("rb") as file:
             size = file.seek(0, os.SEEK_END)
             file.seek(max(0, size - TAIL_BYTES))
-            return file.read().decode(errors="replace").splitlines()
+            text = file.read().decode(errors="replace")
     except OSError:
         return []
+    return text[: text.rfind("\n") + 1].splitlines()

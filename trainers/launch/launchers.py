@@ -13,16 +13,21 @@ from typing import Any, Protocol
 
 from rrl.threads import cores
 
+__all__ = ["GRACE_SECONDS", "POLL_SECONDS", "Handle", "Launcher", "make", "spawn"]
+
 POLL_SECONDS = 0.2
 GRACE_SECONDS = 120.0
 """How long a run that is asked to stop may take to finish its round and save."""
+
+WORKER = "rrl.trainers.cli.worker"
+"""The module that a run's process executes; named, because the command line imports this package."""
 
 
 class Handle(Protocol):
     """A run that was started."""
 
     def poll(self) -> int | None:
-        """The exit status, None while it runs."""
+        """Return the exit status, None while it runs."""
         ...
 
     def stop(self) -> None:
@@ -35,53 +40,56 @@ class Handle(Protocol):
 
 
 class Launcher(Protocol):
-    """Starts ``rrl`` commands."""
+    """Starts ``rrl`` commands.
+
+    Attributes:
+        slots: How many run at a time.
+    """
 
     slots: int
-    """How many run at a time."""
 
     def start(self, arguments: Sequence[str], log: Path) -> Handle:
-        """Start ``rrl`` with these arguments; what it says goes to ``log``."""
+        """Start ``rrl`` with these arguments; what it prints goes to ``log``."""
         ...
 
     def close(self) -> None:
-        """Give back what the launcher holds."""
+        """Release what the launcher holds."""
         ...
 
 
 def make(name: str, workers: int | None) -> Launcher:
-    """The launcher ``local`` or ``ray``."""
+    """Return the launcher ``local`` or ``ray``; ``workers`` as in the classes."""
     return RayLauncher(workers) if name == "ray" else LocalLauncher(workers)
 
 
 class LocalLauncher:
-    """A process for each run, with one thread.
+    """A process for each run, with one thread; Ctrl-C in the terminal reaches none of them.
 
     Args:
-        workers: how many at a time; None: as many as this process has cores.
+        workers: How many at a time; None: as many as this process has cores.
     """
 
     def __init__(self, workers: int | None = None) -> None:
         self.slots = workers or cores()
 
     def start(self, arguments: Sequence[str], log: Path) -> Handle:
-        """Start a process; Ctrl-C in the terminal does not reach it, so that it is stopped by us alone."""
+        """Start a process."""
         return _Process(spawn(arguments, log))
 
     def close(self) -> None:
-        """Nothing to give back."""
+        """Do nothing."""
 
 
 class RayLauncher:
-    """A Ray task of one core for each run; the cluster's machines share the file system and the installation.
+    """A Ray task of one core for each run; all machines share the file system and the installation.
 
     Connects to the cluster that ``RAY_ADDRESS`` names, or starts one on this machine.
 
     Args:
-        workers: how many at a time; None: as many as the cluster has cores.
+        workers: How many at a time; None: as many as the cluster has cores.
 
     Raises:
-        ModuleNotFoundError: if Ray is not installed.
+        ModuleNotFoundError: If Ray is not installed.
     """
 
     def __init__(self, workers: int | None = None) -> None:
@@ -97,9 +105,8 @@ class RayLauncher:
 
     def start(self, arguments: Sequence[str], log: Path) -> Handle:
         """Submit a task."""
-        return _Task(
-            self._ray, self._task.remote(list(arguments), str(log), str(Path.cwd()), sys.path)
-        )
+        task = self._task.remote(list(arguments), str(log), str(Path.cwd()), sys.path)
+        return _Task(self._ray, task)
 
     def close(self) -> None:
         """Disconnect; a cluster that was started here ends."""
@@ -109,24 +116,17 @@ class RayLauncher:
 def spawn(
     arguments: Sequence[str], log: Path, cwd: str | None = None, path: Sequence[str] = ()
 ) -> subprocess.Popen:
-    """A process that runs ``rrl`` with one thread, and ends when this one does."""
-    variables = {
-        **os.environ,
-        "OMP_NUM_THREADS": "1",
-        "MKL_NUM_THREADS": "1",
-        "PYTHONUNBUFFERED": "1",
-    }
-    if path:
-        variables["PYTHONPATH"] = os.pathsep.join(p for p in path if p)
-    command = [sys.executable, "-m", "rrl.trainers.launch.worker", str(os.getpid()), *arguments]
+    """Start ``rrl`` in a process with one thread, which saves and ends when this process does."""
+    one = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+    found = {"PYTHONPATH": os.pathsep.join(p for p in path if p)} if path else {}
     with log.open("a", encoding="utf-8") as file:
         return subprocess.Popen(
-            command,
+            [sys.executable, "-m", WORKER, str(os.getpid()), *arguments],
             stdin=subprocess.DEVNULL,
             stdout=file,
             stderr=subprocess.STDOUT,
             cwd=cwd,
-            env=variables,
+            env={**os.environ, **one, **found},
             start_new_session=True,
         )
 
@@ -134,13 +134,11 @@ def spawn(
 class _Process:
     def __init__(self, process: subprocess.Popen) -> None:
         self._process = process
-
-    def poll(self) -> int | None:
-        return self._process.poll()
+        self.poll = process.poll
 
     def stop(self) -> None:
         if self.poll() is None:
-            self._process.send_signal(signal.SIGTERM)
+            self._process.terminate()
 
     def kill(self) -> None:
         self._process.kill()
@@ -152,19 +150,14 @@ class _Task:
         self._ray, self._reference = ray, reference
 
     def poll(self) -> int | None:
-        ready, _ = self._ray.wait([self._reference], timeout=0)
-        if not ready:
+        if not self._ray.wait([self._reference], timeout=0)[0]:
             return None
         try:
             return int(self._ray.get(self._reference))
-        except (
-            self._ray.exceptions.RayError
-        ) as error:  # a task that was cancelled before it started, or a lost node
-            return (
-                128 + signal.SIGTERM
-                if isinstance(error, self._ray.exceptions.TaskCancelledError)
-                else 1
-            )
+        except self._ray.exceptions.TaskCancelledError:  # before it started
+            return 128 + signal.SIGTERM
+        except self._ray.exceptions.RayError:  # for instance a lost machine
+            return 1
 
     def stop(self) -> None:
         self._ray.cancel(self._reference, recursive=False)
@@ -174,15 +167,14 @@ class _Task:
 
 
 def _run(arguments: Sequence[str], log: str, cwd: str, path: Sequence[str]) -> int:
-    """A Ray task: run the command to its end; a cancelled one passes the request on and waits for the checkpoint."""
-    signal.signal(
-        signal.SIGINT, signal.default_int_handler
-    )  # Ray cancels by it; below nohup it would be ignored
+    """Run the command as a Ray task; when cancelled, have it save first."""
+    # Ray cancels by SIGINT, which is ignored below nohup.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     process = spawn(arguments, Path(log), cwd, path)
     try:
         while process.poll() is None:  # a wait without an end would not see the request
             time.sleep(POLL_SECONDS)
         return process.returncode
     except KeyboardInterrupt:
-        process.send_signal(signal.SIGTERM)
+        process.terminate()
         return process.wait(GRACE_SECONDS)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from ..experiments.plan import Job, quoted
-from ..training.interruption import Interruption
+from ..console import Output
+from ..training.interruption import Interrupted, Interruption
 from .display import Display
-from .launchers import GRACE_SECONDS, POLL_SECONDS, Handle, Launcher
-from .store import Store, StoredRun
+from .job import Job
+from .launchers import GRACE_SECONDS, POLL_SECONDS, Handle, Launcher, make
+
+__all__ = ["Ending", "launch", "require_all", "run_jobs"]
 
 
 @dataclass
@@ -18,9 +20,9 @@ class Ending:
     """What became of the jobs.
 
     Attributes:
-        done: finished, now or before.
-        failed: ended with an error; each run's log says which.
-        blocked: not started, because a run that they need failed.
+        done: Finished, now or before.
+        failed: Ended with an error; each run's log says which.
+        blocked: Not started, because a run that they need failed.
     """
 
     done: list[Job] = field(default_factory=list)
@@ -28,24 +30,46 @@ class Ending:
     blocked: list[Job] = field(default_factory=list)
 
 
-def run_jobs(jobs: Sequence[Job], store: Store, launcher: Launcher, display: Display) -> Ending:
-    """Run what is not finished yet.
+def launch(
+    jobs: Sequence[Job], name: str, workers: int | None, console: Output, again: str
+) -> Ending:
+    """Run what is not finished yet, and show how far it is.
+
+    Args:
+        jobs: The runs.
+        name: Where they run: ``local`` or ``ray``.
+        workers: How many at a time; None: one a core.
+        console: Where to show the progress.
+        again: The command that goes on after an interruption.
 
     Raises:
-        Interrupted: by SIGTERM or Ctrl-C, after every run that was under way has saved itself.
+        Interrupted: By a signal, after every run that was under way has saved itself.
     """
-    ending = Ending(done=[job for job in jobs if job.run.finished])
-    waiting = [job for job in jobs if not job.run.finished]
+    launcher = make(name, workers)
+    try:
+        return run_jobs(jobs, launcher, Display(console))
+    except Interrupted:
+        console.say(f"stopped; to go on:\n  {again}")
+        raise
+    finally:
+        launcher.close()
+
+
+def run_jobs(jobs: Sequence[Job], launcher: Launcher, display: Display) -> Ending:
+    """Run what is not finished yet; see :func:`launch`."""
+    ending = Ending(done=[job for job in jobs if job.finished])
+    waiting = [job for job in jobs if job not in ending.done]
     running: dict[Handle, Job] = {}
     interruption = Interruption("stopping the runs; each saves itself")
-    with interruption.listening(), display.showing(jobs, ending.done):
+    with interruption.listening(), display.showing(jobs, ending.done, launcher.slots):
         try:
             while (waiting or running) and interruption.signal is None:
                 _collect(running, ending, display)
                 _block(waiting, ending, display)
-                for job in _ready(waiting, launcher.slots - len(running)):
+                for job in _ready(waiting, ending, launcher.slots - len(running)):
                     waiting.remove(job)
-                    running[_start(job, store, launcher)] = job
+                    job.prepare()
+                    running[launcher.start(job.arguments, job.log)] = job
                     display.started(job)
                 display.refresh()
                 time.sleep(POLL_SECONDS)
@@ -55,23 +79,31 @@ def run_jobs(jobs: Sequence[Job], store: Store, launcher: Launcher, display: Dis
     return ending
 
 
-def arguments(job: Job) -> list[str]:
-    """The command of a job after ``rrl``: a new run, or the continuation of the one that is there."""
-    if job.run.started:
-        return ["train", f"resume={job.run.path}"]
-    return ["train", *job.overrides, f"hydra.run.dir={quoted(job.run.path)}"]
+def require_all(ending: Ending, console: Output) -> None:
+    """Name the runs that are missing, each with the end of its log.
+
+    Raises:
+        RuntimeError: If there are any.
+    """
+    for job in ending.failed:
+        console.say(f"\nFAILED {job.name}: {job.log}", style="red")
+        console.say(job.log_tail())
+    for job in ending.blocked:
+        needs = ", ".join(map(str, job.needs))
+        console.say(f"\nNOT STARTED {job.name}: it needs {needs}", style="red")
+    if missing := len(ending.failed) + len(ending.blocked):
+        failed = len(ending.failed)
+        raise RuntimeError(
+            f"{missing} runs are missing, {failed} failed; the same command tries them again"
+        )
 
 
-def _start(job: Job, store: Store, launcher: Launcher) -> Handle:
-    store.register(job.run, job.overrides)
-    return launcher.start(arguments(job), job.run.log)
-
-
-def _ready(waiting: Sequence[Job], free: int) -> list[Job]:
-    """Jobs whose needs are finished; those that others wait for first, then the longest."""
-    needed = {run.path for job in waiting for run in job.needs}
-    able = [job for job in waiting if all(run.finished for run in job.needs)]
-    return sorted(able, key=lambda job: (job.run.path not in needed, -job.work))[: max(0, free)]
+def _ready(waiting: Sequence[Job], ending: Ending, free: int) -> list[Job]:
+    """Return jobs whose needs are finished; those that others wait for first, then the longest."""
+    done = {job.path for job in ending.done}
+    needed = {path for job in waiting for path in job.needs}
+    able = [job for job in waiting if done.issuperset(job.needs)]
+    return sorted(able, key=lambda job: (job.path not in needed, -job.total_steps))[: max(0, free)]
 
 
 def _collect(running: dict[Handle, Job], ending: Ending, display: Display) -> None:
@@ -80,22 +112,18 @@ def _collect(running: dict[Handle, Job], ending: Ending, display: Display) -> No
         if status is None:
             continue
         del running[handle]
-        done = status == 0 and job.run.finished
+        done = status == 0 and job.finished
         (ending.done if done else ending.failed).append(job)
         display.ended(job, done)
 
 
 def _block(waiting: list[Job], ending: Ending, display: Display) -> None:
     """Give up the jobs whose needs will not be met."""
-    hopeless = _paths([*ending.failed, *ending.blocked])
-    for job in [job for job in waiting if hopeless & {run.path for run in job.needs}]:
+    missing = {job.path for job in (*ending.failed, *ending.blocked)}
+    for job in [job for job in waiting if missing.intersection(job.needs)]:
         waiting.remove(job)
         ending.blocked.append(job)
         display.ended(job, False)
-
-
-def _paths(jobs: Iterable[Job]) -> set:
-    return {job.run.path for job in jobs}
 
 
 def _stop(running: dict[Handle, Job]) -> None:
@@ -108,13 +136,3 @@ def _stop(running: dict[Handle, Job]) -> None:
             time.sleep(POLL_SECONDS)
         if handle.poll() is None:
             handle.kill()
-
-
-def tail(run: StoredRun, lines: int = 15) -> str:
-    """The end of a run's log."""
-    try:
-        return "\n".join(
-            run.log.read_text(encoding="utf-8", errors="replace").splitlines()[-lines:]
-        )
-    except OSError as error:
-        return str(error)

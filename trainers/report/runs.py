@@ -16,7 +16,14 @@ import yaml
 
 from ..loggers import metrics
 from ..loggers.csv_file import read_metrics
-from ..storage.run_files import CONFIG_FILE, METRICS, RESULTS, VERSIONS, VIDEOS
+from ..storage.run_files import (
+    CONFIG_FILE,
+    METRICS,
+    RESULTS,
+    VERSIONS,
+    VIDEOS,
+    seed_directories,
+)
 from ..storage.same_run import leaves
 from .curves import Curve, curve
 from .panels import FOLLOWED
@@ -83,6 +90,14 @@ class Run:
     def videos(self) -> list[Path]:
         """Rendered episodes."""
         return sorted(p for p in (self.path / VIDEOS).glob("*") if p.suffix in (".mp4", ".gif"))
+
+    def summary(self, scenario: str | None = None) -> Mapping[str, float]:
+        """Return the final evaluation in a scenario; None: the followed one.
+
+        Raises:
+            KeyError: If the run is not finished or does not know the scenario.
+        """
+        return self.results[scenario or self.followed]["summary"]
 
     def _read(self, name: str, parse: Callable[[Path], Any]) -> Any:
         path = self.path / name
@@ -208,10 +223,13 @@ def _json(path: Path) -> Any:
 
 def _run_dirs(folder: Path) -> list[Path]:
     """The folder, if it is a run, or all runs below it; not the command line's hidden copies."""
+    if seeds := seed_directories(folder):
+        return seeds
     if (folder / CONFIG_FILE).is_file():
         return [folder]
     found = (path.parent.relative_to(folder) for path in sorted(folder.rglob(CONFIG_FILE)))
-    return [folder / p for p in found if not any(part.startswith(".") for part in p.parts)]
+    shown = [folder / p for p in found if not any(part.startswith(".") for part in p.parts)]
+    return [path for path in shown if not seed_directories(path)]  # the seeds stand for themselves
 
 
 def _labels(names: Sequence[str], paths: Sequence[Path]) -> list[str]:

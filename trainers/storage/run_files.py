@@ -1,4 +1,8 @@
-"""Names of what lies in a run's directory; light to import."""
+"""Names of the files in a run's directory."""
+
+from __future__ import annotations
+
+from pathlib import Path
 
 CONFIG_FILE = "config.yaml"
 CHECKPOINTS = "checkpoints"
@@ -7,3 +11,10 @@ METRICS = "metrics.csv"
 RESULTS = "results.json"
 VERSIONS = "versions.json"
 REPORT = "report.html"
+LOG = "log.txt"
+
+
+def seed_directories(run_dir: Path) -> list[Path]:
+    """Return the runs of a group, ``seed-<n>`` below its directory, by seed."""
+    found = [path.parent for path in run_dir.glob(f"seed-*/{CONFIG_FILE}")]
+    return sorted(found, key=lambda path: (len(path.name), path.name))

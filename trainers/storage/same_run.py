@@ -9,6 +9,8 @@ from typing import Any
 
 MAY_CHANGE = (
     "name",
+    "launcher",
+    "workers",
     "logger",
     "logger.*",
     "render.*",

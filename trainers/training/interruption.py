@@ -1,4 +1,4 @@
-"""Stopping a run from outside: SIGTERM and Ctrl-C."""
+"""Stopping a run from outside: Ctrl-C, SIGTERM, and SIGHUP when the terminal goes away."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from types import FrameType
 
 log = logging.getLogger(__name__)
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class Interrupted(Exception):
@@ -45,7 +45,9 @@ class Interruption:
 
     @contextmanager
     def listening(self) -> Iterator[Interruption]:
-        """Take note of SIGTERM and Ctrl-C while the body runs; the second one ends the process at once.
+        """Take note of the signals while the body runs; the second one ends the process at once.
+
+        SIGHUP stays ignored where it is, as below ``nohup``.
 
         Ending at once loses nothing that a SIGKILL would not lose. Outside of the main thread, where Python allows no
         signal handlers, this does nothing.
@@ -53,7 +55,9 @@ class Interruption:
         if threading.current_thread() is not threading.main_thread():
             yield self
             return
-        before = {number: signal.signal(number, self._note) for number in SIGNALS}
+        ignored = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+        heard = [number for number in SIGNALS if not (ignored and number == signal.SIGHUP)]
+        before = {number: signal.signal(number, self._note) for number in heard}
         try:
             yield self
         finally:

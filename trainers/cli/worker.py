@@ -1,4 +1,4 @@
-"""The process of one run: ``rrl train``, ended with a checkpoint when the process that started it dies."""
+"""The process of one run: ``rrl``, ended with a checkpoint when the process that started it dies."""
 
 from __future__ import annotations
 
@@ -8,13 +8,16 @@ import sys
 import threading
 import time
 
+__all__ = ["follow_parent"]
+
 LOOK_SECONDS = 0.5
 
 
 def follow_parent(parent: int) -> None:
-    """Send this process one SIGTERM when ``parent`` dies; a second one would end it without a checkpoint.
+    """Send this process one SIGTERM when ``parent`` dies.
 
-    The kernel's own PR_SET_PDEATHSIG signals once for each thread of the parent that dies.
+    The kernel's own PR_SET_PDEATHSIG signals once for each thread of the parent that dies, and a
+    second signal would end this process without a checkpoint.
     """
 
     def watch() -> None:
@@ -27,6 +30,6 @@ def follow_parent(parent: int) -> None:
 
 if __name__ == "__main__":
     follow_parent(int(sys.argv[1]))
-    from ..cli.main import main
+    from .main import main
 
     sys.exit(main(sys.argv[2:]))

@@ -1,0 +1,189 @@
+"""From a command's arguments to a resolved configuration; the only place that knows Hydra."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, cast
+
+import hydra
+import yaml
+from hydra.core.config_search_path import ConfigSearchPath
+from hydra.core.config_store import ConfigStore
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.plugins import Plugins
+from hydra.plugins.search_path_plugin import SearchPathPlugin
+from omegaconf import DictConfig, OmegaConf
+
+from ..storage.run_files import CONFIG_FILE
+
+__all__ = ["CONFIGS", "Composed", "compose", "compose_train", "plain_name", "through_hydra"]
+
+CONFIGS = "configs"
+"""The folder in the working directory whose files come before ours."""
+OURS = Path(__file__).parents[2] / CONFIGS
+PACKAGE, PRIMARY = "rrl.configs", "train"
+SAVED = "saved_run"
+
+
+@dataclass(frozen=True)
+class Composed:
+    """A command's configuration.
+
+    Attributes:
+        config: Resolved.
+        run_dir: Where a new run goes; the run's own directory if it was named.
+        chosen: Whether the user named that directory.
+        replaced: Files of the project that were read instead of ours of the same name.
+    """
+
+    config: dict[str, Any]
+    run_dir: Path
+    chosen: bool = True
+    replaced: tuple[Path, ...] = ()
+
+
+class ProjectConfigs(SearchPathPlugin):
+    """Has Hydra look for a group's file in the project's folder first."""
+
+    folder: ClassVar[Path | None] = None
+
+    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
+        """Put the project's folder before ours."""
+        ours = any(entry.path == f"pkg://{PACKAGE}" for entry in search_path.get_path())
+        if ours and self.folder is not None and self.folder.is_dir():
+            search_path.prepend("project", f"file://{self.folder}")
+
+
+def compose(overrides: Sequence[str], folder: Path | None = None) -> dict[str, Any]:
+    """Return the resolved configuration that ``rrl train`` has with these overrides.
+
+    Args:
+        overrides: In Hydra's grammar.
+        folder: The project's configurations; None: ``configs`` of the working directory.
+    """
+    _prepare(folder)
+    with hydra.initialize_config_module(PACKAGE, version_base="1.3"):
+        return _resolved(hydra.compose(PRIMARY, overrides=list(overrides)))
+
+
+def compose_train(overrides: Sequence[str], run_dir: Path | None) -> Composed:
+    """Compose a new run's configuration, or one from a run's own with changes.
+
+    Args:
+        overrides: In Hydra's grammar.
+        run_dir: Directory of an earlier run.
+    """
+    _prepare()
+    if run_dir is not None:
+        _store(run_dir)
+        with hydra.initialize(version_base="1.3", config_path=None):
+            return Composed(_resolved(hydra.compose(SAVED, list(overrides))), run_dir)
+    with hydra.initialize_config_module(PACKAGE, version_base="1.3"):
+        config = hydra.compose(PRIMARY, list(overrides), return_hydra_config=True)
+    chosen = any(override.startswith("hydra.run.dir=") for override in overrides)
+    replaced = _replaced(config.hydra.runtime.choices)
+    out = Path(config.hydra.run.dir).expanduser().absolute()
+    return Composed(_resolved(config), out, chosen, replaced)
+
+
+def through_hydra(
+    arguments: Sequence[str], run_dir: Path | None, job: Callable[[Composed], None]
+) -> None:
+    """Let Hydra's own command line do what has flags, such as --help, --cfg job and --multirun.
+
+    Args:
+        arguments: Flags and overrides.
+        run_dir: Directory of an earlier run.
+        job: What to do with every configuration.
+    """
+    _prepare()
+    failures: list[Exception] = []
+
+    def task(config: DictConfig) -> None:
+        if any(hasattr(failure, "signal") for failure in failures):
+            return  # Ctrl-C ends a sweep, not one of its runs
+        runtime = HydraConfig.get().runtime
+        out = run_dir or Path(runtime.output_dir)
+        replaced = () if run_dir else _replaced(runtime.choices)
+        try:
+            job(Composed(_resolved(config), out, True, replaced))
+        except Exception as error:
+            failures.append(error)  # past Hydra, which would print a line of its own about it
+
+    path, name = (f"pkg://{PACKAGE}", PRIMARY)
+    if run_dir is not None:
+        _store(run_dir)
+        path, name = (None, SAVED)  # type: ignore[assignment]
+    sys.argv = ["rrl", *arguments]
+    os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # main() shows what Hydra raises
+    hydra.main(version_base="1.3", config_path=path, config_name=name)(task)()
+    for failure in failures:
+        raise failure
+
+
+def plain_name(name: str) -> str:
+    """Return ``name``, which stays inside the folder that it is put in; resolver ``plain``.
+
+    Raises:
+        ValueError: If there is anything but letters, digits and ``. _ + = -``, or a dot in front.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._+=-]*", str(name)):
+        raise ValueError(
+            "name: expected letters, digits and . _ + = - for a directory of that name, "
+            f"got {name!r}"
+        )
+    return name
+
+
+def _prepare(folder: Path | None = None) -> None:
+    """Let ``_target_`` name modules of the working directory, and groups the files of the project."""
+    here = Path.cwd()
+    if str(here) not in sys.path:
+        sys.path.append(str(here))  # last: nothing there hides an installed package
+    ProjectConfigs.folder = folder or here / CONFIGS
+    if ProjectConfigs not in Plugins.instance().discover(SearchPathPlugin):
+        Plugins.instance().register(ProjectConfigs)
+    OmegaConf.register_new_resolver("plain", plain_name, replace=True)
+
+
+def _resolved(config: DictConfig) -> dict[str, Any]:
+    container = OmegaConf.to_container(
+        OmegaConf.masked_copy(config, [key for key in config if key != "hydra"]),
+        resolve=True,
+        throw_on_missing=True,
+    )
+    return cast(dict[str, Any], container)
+
+
+def _store(run_dir: Path) -> None:
+    """Make a run's configuration known to Hydra; it is resolved, so ``${`` in it is text."""
+    text = (run_dir / CONFIG_FILE).read_text(encoding="utf-8")
+    ConfigStore.instance().store(SAVED, _escaped(yaml.safe_load(text)))
+
+
+def _escaped(node: Any) -> Any:
+    if isinstance(node, Mapping):
+        return {key: _escaped(child) for key, child in node.items()}
+    if isinstance(node, list):
+        return [_escaped(child) for child in node]
+    if isinstance(node, str):
+        return re.sub(r"(\\*)\$\{", lambda found: f"{found[1] * 2}\\${{", node)
+    return node
+
+
+def _replaced(choices: Mapping[str, Any]) -> tuple[Path, ...]:
+    """Return the project's files that were read in the place of ours."""
+    folder = ProjectConfigs.folder
+    if folder is None:
+        return ()
+    names = [PRIMARY]
+    for group, choice in choices.items():
+        several = choice if isinstance(choice, Sequence) and not isinstance(choice, str) else [choice]
+        names += [f"{group}/{name}" for name in several]
+    files = [Path(f"{name}.yaml") for name in names]
+    return tuple(folder / f for f in files if (folder / f).is_file() and (OURS / f).is_file())

@@ -1,0 +1,95 @@
+"""``rrl evaluate`` and ``rrl render``: play frozen episodes with a run's newest checkpoint."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from ..configuration import build as assembly
+from ..console import Output
+from ..evaluation.episodes import Comparison, write_results
+from ..evaluation.evaluator import Evaluator
+from ..evaluation.video import choose_episode, render_comparison
+from ..pretrained import best_run, trained_agent
+from ..report.runs import Group, find_runs
+from ..report.tables import one_run, terminal_tables
+from ..seeds import Stream, first_seed
+from ..storage.run_files import VIDEOS, seed_directories
+from ..training.progress import Progress
+
+__all__ = ["evaluate", "film", "film_run", "render"]
+
+Comparisons = Mapping[str, Comparison]
+"""Scenario to its comparison with the controller."""
+
+
+def evaluate(config: assembly.Config, run_dir: Path, console: Output) -> None:
+    """Evaluate the newest checkpoint of a run, or of every seed, on every scenario."""
+    for path in seed_directories(run_dir) or [run_dir]:
+        results, _ = _evaluate(config, path, console)
+        units = Group("", tuple(find_runs([path]))).units
+        title = f"{config['name']} ({path})"
+        console.print(terminal_tables(one_run(results), units, title=title))
+        time = datetime.now(timezone.utc).strftime("%Y-%m-%d_%H-%M-%S")
+        write_results(results, path / f"evaluation-{time}.json")
+        console.say(f"  {path / f'evaluation-{time}.json'}")
+
+
+def render(config: assembly.Config, run_dir: Path, console: Output) -> None:
+    """Write a video of controller and residual on the same episode."""
+    for path in film_run(config, best_run(run_dir), run_dir, console):
+        console.say(f"  {path}")
+
+
+def film_run(config: assembly.Config, run: Path, out: Path, console: Output) -> list[Path]:
+    """Evaluate a run and film an episode of it into the directory ``out``."""
+    results, agent = _evaluate(config, run, console)
+    return film(config, agent, results, out, console)
+
+
+def _evaluate(
+    config: assembly.Config, run_dir: Path, console: Output
+) -> tuple[Comparisons, Any]:
+    config = {**config, "trainer": {**config["trainer"], "num_seeds": 1}}
+    assembly.check(config)
+    settings = assembly.settings(config)
+    agent, path = trained_agent(config, run_dir)
+    console.say(f"loaded {path}")
+    evaluator = Evaluator(assembly.scenarios(config), settings.evaluation)
+    results = {
+        scenario: evaluator.compare(
+            agent.policy, scenario, Stream.FINAL, settings.evaluation.final_episodes
+        )
+        for scenario in Progress(console).track(evaluator.scenarios, "evaluating")
+    }
+    evaluator.close()
+    return results, agent
+
+
+def film(
+    config: assembly.Config, agent: Any, results: Comparisons, run_dir: Path, console: Output
+) -> list[Path]:
+    """Film an episode of ``results``; the list is empty where nothing can be rendered."""
+    settings, render = assembly.settings(config), config["render"]
+    node, scenario = config["env"].get("renderer"), render["scenario"] or next(iter(results))
+    if not node:
+        return []
+    if scenario not in results:
+        raise ValueError(f"render.scenario: expected one of {sorted(results)}, got {scenario!r}")
+    episode = choose_episode(results[scenario], render["episode"])
+    out = run_dir / VIDEOS / f"{scenario}_episode_{episode}.{render['format']}"
+    try:
+        film = render_comparison(
+            assembly.scenarios(config)[scenario],
+            agent.policy,
+            assembly.build(node),
+            first_seed(Stream.FINAL, settings.evaluation.seed) + episode,
+            out,
+            render,
+        )
+    except RuntimeError as error:
+        console.say(f"no video: {error}", style="yellow")
+        return []
+    return [film]

@@ -1,0 +1,86 @@
+"""Several seeds of one configuration: runs of their own in the pool, shown together at the end."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+
+import yaml
+
+from ..configuration import build as assembly
+from ..console import Output
+from ..launch.job import Job, one_seed
+from ..launch.pool import launch, require_all
+from ..report.learning_curve import learning_curve
+from ..report.report import write_report
+from ..report.runs import Group, Run, find_runs
+from ..report.tables import markdown_tables, terminal_tables
+from ..storage.checkpoints import saved_config
+from ..storage.files import lock, write_atomically
+from ..storage.run_files import CHECKPOINTS, CONFIG_FILE, REPORT, seed_directories
+from ..storage.same_run import require_same_run
+from .evaluate import film_run
+
+__all__ = ["train_seeds"]
+
+def train_seeds(
+    config: assembly.Config, run_dir: Path, console: Output, *, resume: bool
+) -> None:
+    """Train ``trainer.num_seeds`` runs ``seed-<n>`` below ``run_dir``, what is missing of them.
+
+    Args:
+        config: The resolved configuration.
+        run_dir: Directory of all seeds.
+        console: Where to show the progress.
+        resume: Whether the directory may hold runs already.
+
+    Raises:
+        BlockingIOError: If another process trains here.
+        FileExistsError: If there are runs already, and ``resume`` is false.
+        Interrupted: By a signal; the runs have saved themselves.
+        RuntimeError: If runs failed; the others are shown.
+        ValueError: If the configuration is wrong, or not the one of the runs that are there.
+    """
+    first, count = config["trainer"]["seed"], config["trainer"]["num_seeds"]
+    jobs = [
+        Job(run_dir / f"seed-{seed}", one_seed(config, seed)) for seed in range(first, first + count)
+    ]
+    assembly.check(jobs[0].config)
+    run_dir.mkdir(parents=True, exist_ok=True)
+    held = lock(run_dir)
+    try:
+        present = seed_directories(run_dir)
+        if (run_dir / CHECKPOINTS).exists() or (present and not resume):
+            raise FileExistsError(f"{run_dir} holds a run already: choose another directory")
+        for job in jobs:
+            if job.path in present:
+                require_same_run(saved_config(job.path) or job.config, job.config)
+        text = yaml.safe_dump(dict(config), sort_keys=False)
+        write_atomically(run_dir / CONFIG_FILE, text)
+        console.say(f"training {count} seeds in {run_dir}")
+        again = f"rrl train resume={shlex.quote(str(run_dir))}"
+        ending = launch(jobs, config["launcher"], config["workers"], console, again)
+        done = [job.path for job in jobs if job in ending.done]
+        if done:
+            _show(config, find_runs(done), run_dir, console)
+        require_all(ending, console)
+    finally:
+        os.close(held)
+
+
+def _show(config: assembly.Config, runs: Sequence[Run], run_dir: Path, console: Output) -> None:
+    """Leave one table, curve, video and report of all seeds in their common directory."""
+    group = Group(str(config["name"]), tuple(runs))
+    console.print(terminal_tables(group.results, group.units, title=group.label))
+    written = [run_dir / "results.md", run_dir / CONFIG_FILE]
+    write_atomically(written[0], markdown_tables(group.results, group.units))
+    curve = learning_curve(group, run_dir / "learning_curve.png")
+    written += [curve] if curve else []
+    if config["render"]["enabled"]:
+        most = max(runs, key=lambda run: run.summary().get("rescues", 0.0))
+        written += film_run({**most.config, "render": config["render"]}, most.path, run_dir, console)
+    written.append(write_report(runs, run_dir / REPORT))
+    for path in written:
+        console.say(f"  {path}")

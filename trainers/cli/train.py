@@ -1,0 +1,111 @@
+"""``rrl train`` of one seed in this process, with what it leaves behind."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+
+import yaml
+
+from ..configuration import build as assembly
+from ..console import Output
+from ..evaluation.episodes import write_results
+from ..pretrained import start_from
+from ..report.learning_curve import learning_curve
+from ..report.report import write_report
+from ..report.runs import Group, find_runs
+from ..report.tables import (
+    COLUMNS,
+    EPISODE_COLUMNS,
+    Results,
+    episode_rows,
+    markdown_tables,
+    one_run,
+    success_rows,
+    terminal_tables,
+)
+from ..storage.checkpoints import saved_config
+from ..storage.files import write_atomically
+from ..storage.run_files import CONFIG_FILE, METRICS, REPORT, RESULTS, seed_directories
+from ..storage.same_run import require_same_run
+from ..storage.versions import write_versions
+from ..training.progress import Progress
+from ..training.trainer import Trainer
+from .evaluate import film
+from .seeds import train_seeds
+
+__all__ = ["train"]
+
+VIDEO, VIDEO_FILES = "video", (".mp4", ".gif")
+MEDIA = (".png", *VIDEO_FILES)
+
+
+def train(config: assembly.Config, run_dir: Path, console: Output, *, resume: bool) -> None:
+    """Train one seed here or several in a pool; leave table, curve, video and report."""
+    if config["trainer"]["num_seeds"] > 1 or seed_directories(run_dir):
+        train_seeds(config, run_dir, console, resume=resume)
+        return
+    if resume:
+        require_same_run(saved_config(run_dir) or config, config)
+    trainer = assembly.trainer(config, run_dir, Progress(console))
+    try:
+        if not (resume and _resume(trainer, console)):
+            start_from(trainer.agent, config)
+        trainer.require_new_or_resumed()
+        try:
+            _train(config, trainer, console)
+        except Exception:
+            command = f"rrl train resume={shlex.quote(str(run_dir))}"
+            console.say(f"the run is on disk; to go on with it:\n  {command}")
+            raise
+    finally:
+        trainer.close()
+
+
+def _resume(trainer: Trainer, console: Output) -> bool:
+    """Return whether there was a checkpoint to go on from."""
+    try:
+        console.say(f"resuming from {trainer.resume()}")
+        return True
+    except FileNotFoundError:
+        if trainer.store.log.count:
+            raise
+        console.say("no checkpoint yet: starting from the beginning")
+        return False
+
+
+def _train(config: assembly.Config, trainer: Trainer, console: Output) -> None:
+    run_dir = trainer.run_dir
+    if trainer.env_steps < trainer.settings.total_steps:
+        (run_dir / RESULTS).unlink(missing_ok=True)  # it marks a finished run
+    write_atomically(run_dir / CONFIG_FILE, yaml.safe_dump(dict(config), sort_keys=False))
+    write_versions(run_dir)
+    results = trainer.run()
+    if trainer.settings.profile:
+        console.print(trainer.profile.table())
+    group, shown = Group(str(config["name"]), tuple(find_runs([run_dir]))), one_run(results)
+    console.print(terminal_tables(shown, group.units, title=group.label))
+    written = [run_dir / "results.md", run_dir / CONFIG_FILE]
+    write_atomically(written[0], markdown_tables(shown, group.units))
+    if trainer.env_steps and (run_dir / METRICS).exists():
+        curve = learning_curve(group, run_dir / "learning_curve.png")
+        written += [curve] if curve else []
+    if config["render"]["enabled"]:
+        written += film(config, trainer.agent, results, run_dir, console)
+    _log_results(trainer, shown, [path for path in written if path.suffix in MEDIA])
+    write_results(results, run_dir / RESULTS)  # after all that takes long
+    written.append(write_report(find_runs([run_dir]), run_dir / REPORT))
+    for path in written:
+        console.say(f"  {path}")
+
+
+def _log_results(trainer: Trainer, results: Results, media: Sequence[Path]) -> None:
+    """Give the loggers what a metric cannot say: pictures, videos, table and paired episodes."""
+    steps = trainer.env_steps
+    for logger in trainer.loggers:
+        for path in media:
+            name = VIDEO if path.suffix in VIDEO_FILES else path.stem
+            logger.log_file(f"media/{name}", path, steps)
+        logger.log_table("results/success", COLUMNS, success_rows(results), steps)
+        logger.log_table("results/episodes", EPISODE_COLUMNS, episode_rows(results), steps)
