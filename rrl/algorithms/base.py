@@ -91,11 +91,14 @@ class Agent(nn.Module, ABC):
         settings: See the class's ``Settings``.
 
     Raises:
-        ValueError: If a hyperparameter is unknown or out of its range, or ``symmetry`` does not fit.
+        ValueError: If a hyperparameter is unknown or out of range, or ``symmetry`` does not fit.
     """
 
     Settings: ClassVar[type[AgentSettings]] = AgentSettings
     loss: LossModule
+    encoder: Any
+    critic_optimizer: Any
+    actor_optimizer: Any
     policy: TensorDictModuleBase
     """From the inputs ``[*batch, *shape]`` to ``action`` [*batch, m] in [-1, 1]."""
 
@@ -131,7 +134,7 @@ class Agent(nn.Module, ABC):
     # ---------------------------------------------------------------- construction
 
     def make_actor(self, out_features: int) -> nn.Module:
-        """Make the actor network, from what :attr:`read_keys` name to ``[*batch, out_features]``."""
+        """Make the actor network, from :attr:`read_keys` to ``[*batch, out_features]``."""
         network = self.settings.network(
             in_features=self.encoder.out_features, out_features=out_features
         )
@@ -189,8 +192,8 @@ class Agent(nn.Module, ABC):
             shapes = [tuple(d[name].shape) if name in d else None for d in (own, given)]
             if shapes[0] != shapes[1]:
                 raise ValueError(
-                    f"initial weights: expected a {type(self).__name__} with {name} of {shapes[0]}, "
-                    f"got a {type(other).__name__} with {shapes[1]}"
+                    f"initial weights: expected {type(self).__name__} with {name} of {shapes[0]}, "
+                    f"got {type(other).__name__} with {shapes[1]}"
                 )
         with torch.no_grad():
             for name, value in own.items():

@@ -83,13 +83,15 @@ class _Ensemble(LossModule):
         }
 
     def _reduced(self, loss: Tensor, tensordict: TensorDictBase) -> Tensor:
-        """Reduce a loss ``[*batch]`` as ``reduction`` says, with priority weights if there are any."""
+        """Reduce a loss ``[*batch]`` as ``reduction`` says, weighted by priorities if there are any."""
         weights = tensordict.get(self.tensor_keys.priority_weight, None)
         if weights is not None and self.use_prioritized_weights:
             loss = loss * weights.reshape(loss.shape)
             if self.reduction == "mean":
                 return loss.sum() / weights.sum()
-        return {"none": lambda: loss, "mean": loss.mean, "sum": loss.sum}[self.reduction]()
+        if self.reduction == "none":
+            return loss
+        return loss.mean() if self.reduction == "mean" else loss.sum()
 
 
 class EnsembleTD3Loss(_Ensemble, TD3Loss):
@@ -101,8 +103,8 @@ class EnsembleTD3Loss(_Ensemble, TD3Loss):
         actor_network: The policy.
         qvalue_network: One critic, or a list of critics that keep their initialization.
         target_subset: How many critics, drawn anew for every update, make the target.
-        policy_value: What the policy climbs: ``mean``, ``first`` or ``least`` of the critics' values.
-        arguments: Of :class:`~torchrl.objectives.TD3Loss`; ``num_qvalue_nets`` is the ensemble's size.
+        policy_value: What the policy climbs: ``mean``, ``first`` or ``least`` of the critics.
+        arguments: Of ``TD3Loss``; ``num_qvalue_nets`` is the ensemble's size.
 
     Raises:
         ValueError: If ``target_subset`` is not in 1 to ``num_qvalue_nets``.
@@ -151,8 +153,8 @@ class EnsembleSACLoss(_Ensemble, SACLoss):
         actor_network: The stochastic policy.
         qvalue_network: One critic, or a list of critics that keep their initialization.
         target_subset: How many critics, drawn anew for every update, make the target.
-        policy_value: What the policy climbs: ``mean``, ``first`` or ``least`` of the critics' values.
-        arguments: Of :class:`~torchrl.objectives.SACLoss`; ``num_qvalue_nets`` is the ensemble's size.
+        policy_value: What the policy climbs: ``mean``, ``first`` or ``least`` of the critics.
+        arguments: Of ``SACLoss``; ``num_qvalue_nets`` is the ensemble's size.
 
     Raises:
         ValueError: If ``target_subset`` is not in 1 to ``num_qvalue_nets``.

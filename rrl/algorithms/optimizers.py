@@ -70,23 +70,30 @@ class Adam(nn.Module):
         means, squares, steps = map(self._named, ("exp_avg", "exp_avg_sq", "step"))
         beta1, beta2 = self.betas
         if not being_traced():
-            settings: dict[str, Any] = {
-                "beta1": beta1,
-                "beta2": beta2,
-                "lr": self.lr,
-                "eps": self.eps,
-            }
-            off: dict[str, Any] = {"amsgrad": False, "maximize": False, "weight_decay": 0.0}
-            state = means, squares, [], steps
             # The fused kernel takes every gradient to be laid out in memory as its parameter is.
             laid_out = [
                 torch.empty_like(p).copy_(g) for p, g in zip(parameters, grads, strict=True)
             ]
-            adam(parameters, laid_out, *state, fused=True, **settings, **off)
+            adam(
+                parameters,
+                laid_out,
+                means,
+                squares,
+                [],
+                steps,
+                fused=True,
+                amsgrad=False,
+                beta1=beta1,
+                beta2=beta2,
+                lr=self.lr,
+                weight_decay=0.0,
+                eps=self.eps,
+                maximize=False,
+            )
             return
         torch._foreach_add_(steps, 1.0)
         root = (1 - beta2 ** steps[0]).sqrt()
-        # One tensor of both: the compiler stores it, where it would compute each anew in every loop.
+        # One tensor of both: the compiler would compute each anew in every loop that reads it.
         both = torch.stack([self.lr * root / (1 - beta1 ** steps[0]), self.eps * root])
         rate, eps = both.unbind()
         for p, g, mean, square in zip(parameters, grads, means, squares, strict=True):
@@ -123,7 +130,8 @@ class TorchOptimizer(nn.Module):
         """
         if being_traced():
             raise RuntimeError(
-                "optimizer: torch.optim cannot be compiled; use rrl.algorithms.Adam or compiled=false"
+                "optimizer: torch.optim cannot be compiled; use rrl.algorithms.Adam, or "
+                "compiled=false"
             )
         for parameter, grad in zip(self.params, grads, strict=True):
             parameter.grad = grad

@@ -72,6 +72,7 @@ class SAC(Agent):
 
     Settings: ClassVar[type[AgentSettings]] = SACSettings
     settings: SACSettings
+    temperature_optimizer: Any
 
     def __init__(self, inputs: Any, action_size: int, **arguments: Any) -> None:
         super().__init__(inputs, action_size, **arguments)

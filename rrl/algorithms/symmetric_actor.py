@@ -11,11 +11,13 @@ __all__ = ["SymmetricActor"]
 
 
 class SymmetricActor(nn.Module):
-    """The mean over all images of what an actor gives: images of an observation get images of one action.
+    """The mean over all mirror images of what an actor gives.
+
+    Images of an observation get images of one action.
 
     Args:
-        actor: From features ``[*batch, n]`` to one or more numbers for each dimension of the action;
-            the first are signed, all further ones are magnitudes.
+        actor: From features ``[*batch, n]`` to one or more numbers for each dimension of the
+            action; the first are signed, all further ones are magnitudes.
         symmetry: Of features and action.
     """
 

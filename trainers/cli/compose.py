@@ -153,7 +153,7 @@ def _prepare(folder: Path | None = None) -> None:
 
 def _resolved(config: DictConfig) -> dict[str, Any]:
     container = OmegaConf.to_container(
-        OmegaConf.masked_copy(config, [key for key in config if key != "hydra"]),
+        OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"]),
         resolve=True,
         throw_on_missing=True,
     )
@@ -183,7 +183,9 @@ def _replaced(choices: Mapping[str, Any]) -> tuple[Path, ...]:
         return ()
     names = [PRIMARY]
     for group, choice in choices.items():
-        several = choice if isinstance(choice, Sequence) and not isinstance(choice, str) else [choice]
+        several = (
+            choice if isinstance(choice, Sequence) and not isinstance(choice, str) else [choice]
+        )
         names += [f"{group}/{name}" for name in several]
     files = [Path(f"{name}.yaml") for name in names]
     return tuple(folder / f for f in files if (folder / f).is_file() and (OURS / f).is_file())

@@ -49,9 +49,7 @@ def film_run(config: assembly.Config, run: Path, out: Path, console: Output) -> 
     return film(config, agent, results, out, console)
 
 
-def _evaluate(
-    config: assembly.Config, run_dir: Path, console: Output
-) -> tuple[Comparisons, Any]:
+def _evaluate(config: assembly.Config, run_dir: Path, console: Output) -> tuple[Comparisons, Any]:
     config = {**config, "trainer": {**config["trainer"], "num_seeds": 1}}
     assembly.check(config)
     settings = assembly.settings(config)

@@ -25,9 +25,8 @@ from .evaluate import film_run
 
 __all__ = ["train_seeds"]
 
-def train_seeds(
-    config: assembly.Config, run_dir: Path, console: Output, *, resume: bool
-) -> None:
+
+def train_seeds(config: assembly.Config, run_dir: Path, console: Output, *, resume: bool) -> None:
     """Train ``trainer.num_seeds`` runs ``seed-<n>`` below ``run_dir``, what is missing of them.
 
     Args:
@@ -45,7 +44,8 @@ def train_seeds(
     """
     first, count = config["trainer"]["seed"], config["trainer"]["num_seeds"]
     jobs = [
-        Job(run_dir / f"seed-{seed}", one_seed(config, seed)) for seed in range(first, first + count)
+        Job(run_dir / f"seed-{seed}", one_seed(config, seed))
+        for seed in range(first, first + count)
     ]
     assembly.check(jobs[0].config)
     run_dir.mkdir(parents=True, exist_ok=True)
@@ -80,7 +80,9 @@ def _show(config: assembly.Config, runs: Sequence[Run], run_dir: Path, console: 
     written += [curve] if curve else []
     if config["render"]["enabled"]:
         most = max(runs, key=lambda run: run.summary().get("rescues", 0.0))
-        written += film_run({**most.config, "render": config["render"]}, most.path, run_dir, console)
+        written += film_run(
+            {**most.config, "render": config["render"]}, most.path, run_dir, console
+        )
     written.append(write_report(runs, run_dir / REPORT))
     for path in written:
         console.say(f"  {path}")

@@ -147,8 +147,7 @@ def _check_build(path: str, node: Target, given: Config, built: dict[str, Any]) 
     """
     for key, value in node.items():
         if isinstance(value, Mapping) and "_target_" in value:
-            factory = value | {"_partial_": True}
-            yield from _check_arguments(f"{path}.{key}", factory, None)
+            yield from _check_arguments(f"{path}.{key}", dict(value), None)
     found = list(_check_arguments(path, node, given))
     yield from found
     if found or not inspect.isclass(locate(node["_target_"])):
@@ -201,7 +200,7 @@ def _check_arguments(path: str, node: Target, given: Config | int | None) -> Pro
     supplied = set(names[:given]) if isinstance(given, int) else set(given or ())
     takes = [n for n in names if n not in supplied]
     if not any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
-        for key in sorted(set(node) - set(names) - {"_target_", "_partial_"}):
+        for key in sorted(set(node) - set(names) - {"_target_"}):
             yield f"{path}: {target} does not take {key!r}; it takes {', '.join(takes)}"
     for name in takes if given is not None else ():
         if parameters[name].default is inspect.Parameter.empty and name not in node:

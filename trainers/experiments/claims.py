@@ -161,14 +161,29 @@ def explores_wider(finding: Finding) -> tuple[bool, str]:
 CLAIMS: Sequence[tuple[str, str, Test]] = tuple(
     (f"{number} {claim}", experiment, test)
     for number, claim, experiment, test in (
-        ("1a.", "In simulation residual RL learns faster than RL alone", "curves-sim", learns_faster),
+        (
+            "1a.",
+            "In simulation residual RL learns faster than RL alone",
+            "curves-sim",
+            learns_faster,
+        ),
         ("1b.", "In simulation residual RL ends above the controller", "curves-sim", ends_above),
-        ("2a.", "On the real-like task it learns faster than RL alone", "curves-real", learns_faster),
+        (
+            "2a.",
+            "On the real-like task it learns faster than RL alone",
+            "curves-real",
+            learns_faster,
+        ),
         ("2b.", "On the real-like task it ends above the controller", "curves-real", ends_above),
         ("3.", "It stays level as the blocks turn, the controller falls", "rotation", stays_level),
         ("4.", "It stays level as control noise grows", "noise", withstands_noise),
         ("5.", "It stays level as control bias grows, the controller falls", "bias", stays_level),
-        ("6a.", "Misaligned: about 15 of 20, by the controller about 2", "table", solves_misaligned),
+        (
+            "6a.",
+            "Misaligned: about 15 of 20, by the controller about 2",
+            "table",
+            solves_misaligned,
+        ),
         ("6b.", "Aligned: 20 of 20, and so by the controller", "table", solves_aligned),
         ("7.", "Misaligned success grows within 8000 samples", "success-real", success_grows),
         ("8.", "Bias does not stop learning, real-like task", "bias-real", learns_under_bias),

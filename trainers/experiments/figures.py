@@ -19,7 +19,10 @@ from .tables import interval_of, success_rows
 
 __all__ = ["draw"]
 
-COLORS = (RESIDUAL_COLOR, *"#e69f00 #009e73 #cc79a7 #56b4e9 #7a6a00 #4d4d4d #8c2d04".split())
+COLORS = (
+    RESIDUAL_COLOR,
+    *["#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#7a6a00", "#4d4d4d", "#8c2d04"],
+)
 """Distinct for the color-blind (Okabe and Ito), and from the controller's."""
 MARKERS = "osD^vPX*"
 INTERVAL = "mean and 95 % confidence interval over seeds"
@@ -86,7 +89,12 @@ def _spread(experiment: Experiment, finding: Finding) -> Figure:
         low, high = np.array([mean_interval(column) for column in values.T]).T
         mean = values.mean(axis=0)
         error = np.nan_to_num([mean - np.maximum(low, 0.0), high - mean])
-        look = {"capsize": 3, "color": COLORS[i], "alpha": 0.75, "label": outcome.point.arm}
+        look: dict[str, Any] = {
+            "capsize": 3,
+            "color": COLORS[i],
+            "alpha": 0.75,
+            "label": outcome.point.arm,
+        }
         axis.bar(at, mean, 0.9 * width, yerr=error, **look)
         for row in values:
             axis.plot(at, row, ".", color="black", ms=4, alpha=0.6)
@@ -110,7 +118,9 @@ def _table(experiment: Experiment, finding: Finding) -> Figure:
     table.auto_set_column_width(range(len(header)))
     table.scale(1, 1.6)
     first = finding.outcomes[0]
-    text = f"{len(first.runs)} seeds, the same {first.episodes} episodes for each and the controller"
+    text = (
+        f"{len(first.runs)} seeds, the same {first.episodes} episodes for each and the controller"
+    )
     figure.suptitle(f"{experiment.title} ({experiment.paper})\n{text}", fontsize=10)
     return figure
 
@@ -144,9 +154,7 @@ def _label(experiment: Experiment, outcome: Outcome) -> str:
     return f"{arm}, {sweep.key.rpartition('.')[2]} = {outcome.point.value:g}" if sweep else arm
 
 
-def _band(
-    axis: Axes, outcome: Outcome, entry: str, unit: float, color: str, label: str
-) -> None:
+def _band(axis: Axes, outcome: Outcome, entry: str, unit: float, color: str, label: str) -> None:
     curve = outcome.curve(entry)
     episodes = int(outcome.point.config["trainer"]["evaluation"]["episodes"])
     if band := curve.band(episodes if entry == "success" else None):
@@ -163,6 +171,6 @@ def _errors(
     low, high = mean, mean
     if not entry.startswith("controller"):
         low, high = np.array([interval_of(outcome, entry) for outcome in outcomes]).T
-    at = [outcome.point.value for outcome in outcomes]
+    at = [outcome.point.value or 0.0 for outcome in outcomes]
     error = unit * np.nan_to_num(np.maximum(0.0, [mean - low, high - mean]))
     axis.errorbar(at, unit * mean, error, capsize=3, lw=2, ms=5, label=label, **look)

@@ -12,7 +12,15 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from ..configuration.checks import PlainName, explain
 from ..settings import Positive
 
-__all__ = ["Experiment", "Overrides", "Scale", "Settings", "Sweep", "load_experiments", "load_settings"]
+__all__ = [
+    "Experiment",
+    "Overrides",
+    "Scale",
+    "Settings",
+    "Sweep",
+    "load_experiments",
+    "load_settings",
+]
 
 Overrides = tuple[str, ...]
 FOLDER = "experiment"

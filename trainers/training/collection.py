@@ -147,8 +147,9 @@ class InTurn(Collection):
         return data.reshape(self.settings.num_envs, -1)
 
     def _anneal(self, env_steps: int) -> None:
-        if hasattr(self.exploration, "step"):
-            self.exploration.step(env_steps - self._annealed)
+        anneal = getattr(self.exploration, "step", None)
+        if anneal is not None:
+            anneal(env_steps - self._annealed)
         self._annealed = env_steps
 
     def collect(self, env_steps: int) -> tuple[TensorDictBase, Metrics]:

@@ -1,7 +1,6 @@
-"""What every algorithm on stacked seeds must do, whichever it is."""
+"""What every algorithm must do, whichever it is."""
 
 import copy
-import math
 from functools import partial
 
 import pytest
@@ -9,13 +8,11 @@ import torch
 from scipy import stats
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
-from torchrl.modules import TanhNormal
+from torchrl.modules import AdditiveGaussianModule, TanhNormal
 
-from agents import ACTION, OBSERVATION, batches, critics, make_agent, parameters
-from rrl.algorithms import DDPG, SAC, TD3
-from rrl.algorithms.squashed_gaussian import SquashedGaussian
+from agents import ACTION, BATCH, OBSERVATION, batches, critics, learn, make_agent, parameters
+from rrl.algorithms import DDPG, SAC, TD3, mlp, no_exploration
 from rrl.controllers import ProportionalController
-from rrl.exploration import GaussianExploration, NoExploration
 from rrl.trainers import EnvironmentFactory, Trainer, TrainerSettings
 from toy_envs import EPISODE_STEPS, PointMass
 
@@ -25,52 +22,43 @@ each_algorithm = pytest.mark.parametrize("algorithm", ALGORITHMS)
 
 @each_algorithm
 @pytest.mark.parametrize("layer_norm", [False, True])
-def test_seeds_do_not_touch_each_other(algorithm, layer_norm):
-    one, other = (
-        make_agent(algorithm, 3, layer_norm=layer_norm),
-        make_agent(algorithm, 3, layer_norm=layer_norm),
-    )
-    data = batches(4, 3)
-    changed = data.clone()
-    changed["next", "reward"][:, 1] += 10.0
-    one.update(data)
-    other.update(changed)
-    for k, same in ((0, True), (1, False), (2, True)):
-        pairs = zip(one.policy_of(k).parameters(), other.policy_of(k).parameters(), strict=True)
-        assert all(torch.equal(a, b) for a, b in pairs) is same
+def test_all_random_numbers_come_from_torchs_generator(algorithm, layer_norm):
+    make = partial(make_agent, algorithm, layer_norm=layer_norm, last_layer_bound=0.1)
+    one, same, other = make(), make(), make(seed=1)
+    for agent in (one, same, other):
+        learn(agent, 4)
+    for name, value in parameters(one).items():
+        assert torch.equal(value, parameters(same)[name]), name
+    assert any(not torch.equal(v, parameters(other)[name]) for name, v in parameters(one).items())
 
 
-@each_algorithm
-def test_a_seed_learns_in_a_stack_what_it_learns_alone(algorithm):
-    stack, alone = make_agent(algorithm, 3, seed=5), make_agent(algorithm, 1, seed=6)
-    data = batches(6, 3)
-    stack.update(data.clone())
-    alone.update(data[:, 1:2].clone())
-    for mine, other in zip(
-        stack.policy_of(1).parameters(), alone.policy_of(0).parameters(), strict=True
-    ):
-        torch.testing.assert_close(mine, other, rtol=1e-4, atol=1e-6)
+@pytest.mark.parametrize(("algorithm", "draws"), [(TD3, True), (SAC, True), (DDPG, False)])
+def test_what_is_drawn_in_an_update_changes_it(algorithm, draws):
+    one, other = (make_agent(algorithm, last_layer_bound=0.1) for _ in range(2))
+    for seed, agent in enumerate((one, other)):
+        torch.manual_seed(seed)
+        agent.update(batches(4))
+    moved = any(not torch.equal(v, parameters(other)[n]) for n, v in parameters(one).items())
+    assert moved is draws
 
 
 @each_algorithm
 def test_an_untrained_residual_is_exactly_zero(algorithm):
-    agent = make_agent(algorithm, 2)
+    agent = make_agent(algorithm)
     td = TensorDict({"observation": torch.randn(2, OBSERVATION)}, [2])
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         assert torch.equal(agent.policy(td)["action"], torch.zeros(2, ACTION))
-        assert torch.equal(agent.policy_of(1)(td)["action"], torch.zeros(2, ACTION))
 
 
 @each_algorithm
 def test_state_dict_restores_acting_and_the_next_update_to_the_last_bit(algorithm):
-    agent, other = make_agent(algorithm, 2), make_agent(algorithm, 2, seed=7)
+    agent, other = make_agent(algorithm), make_agent(algorithm, seed=7)
     td = TensorDict({"observation": torch.randn(4, OBSERVATION)}, [4])
-    agent.update(batches(3, 2))
-    agent.policy(td.clone())
+    learn(agent, 3)
     other.load_state_dict(copy.deepcopy(agent.state_dict()))
     actions = []
     for learner in (agent, other):
-        learner.update(batches(3, 2, seed=1))
+        learn(learner, 3, seed=1)
         actions.append(learner.policy(td.clone())["action"])
     assert torch.equal(*actions)
     for name, value in parameters(agent).items():
@@ -78,31 +66,20 @@ def test_state_dict_restores_acting_and_the_next_update_to_the_last_bit(algorith
 
 
 @each_algorithm
-def test_the_global_generator_is_left_alone(algorithm):
-    agent = make_agent(algorithm, 2)
-    before = torch.get_rng_state()
-    agent.update(batches(3, 2))
-    agent.policy(
-        TensorDict({"observation": torch.randn(4, OBSERVATION, generator=torch.Generator())}, [4])
-    )
-    assert torch.equal(before, torch.get_rng_state())
-
-
-@each_algorithm
 def test_in_the_burn_in_critics_and_targets_learn_and_the_policy_waits(algorithm):
     agent = make_agent(algorithm, last_layer_bound=0.1, critic_burn_in=4)
     before = copy.deepcopy(parameters(agent))
-    metrics = agent.update(batches(4, 1))
-    moved = {name for name in before if not torch.equal(before[name], parameters(agent)[name])}
-    assert any("loss.target" in name and "value" in name for name in moved)
-    assert not any(name.startswith("_actor") for name in moved)
+
+    def moved():
+        now = parameters(agent)
+        return {name for name in before if not torch.equal(before[name], now[name])}
+
+    metrics = learn(agent, 4)
+    assert any("loss.target" in name and "value" in name for name in moved())
+    assert not any(name.startswith(("policy", "loss.actor")) for name in moved())
     assert "loss_actor" not in metrics
-    assert "loss_actor" in agent.update(batches(4, 1))
-    assert any(
-        name.startswith("_actor")
-        for name in before
-        if not torch.equal(before[name], parameters(agent)[name])
-    )
+    assert "loss_actor" in learn(agent, 4)
+    assert any(name.startswith("policy") for name in moved())
 
 
 @each_algorithm
@@ -110,10 +87,11 @@ def test_in_the_burn_in_critics_and_targets_learn_and_the_policy_waits(algorithm
 @pytest.mark.filterwarnings("default")  # the compiler warns of its own doings
 def test_the_compiled_update_equals_the_eager_one(algorithm):
     eager, compiled = (
-        make_agent(algorithm, 2, last_layer_bound=0.1, compiled=c) for c in (False, True)
+        make_agent(algorithm, last_layer_bound=0.1, compiled=c) for c in (False, True)
     )
     for learner in (eager, compiled):
-        learner.update(batches(10, 2))
+        learn(learner, 10)
+    assert compiled.compile_seconds > 0
     for name, value in parameters(eager).items():
         torch.testing.assert_close(parameters(compiled)[name], value, rtol=1e-5, atol=1e-5)
 
@@ -125,10 +103,10 @@ def test_a_compiled_learner_goes_on_from_a_state_as_the_eager_one_does(algorithm
     eager, compiled = (
         make_agent(algorithm, tau=0.3, last_layer_bound=0.1, compiled=c) for c in (False, True)
     )
-    eager.update(batches(4, 1))
+    learn(eager, 4)
     compiled.load_state_dict(copy.deepcopy(eager.state_dict()))
     for learner in (eager, compiled):
-        learner.update(batches(4, 1, seed=1))
+        learn(learner, 4, seed=1)
     for name, value in parameters(eager).items():
         torch.testing.assert_close(parameters(compiled)[name], value, rtol=1e-5, atol=1e-5)
 
@@ -141,7 +119,7 @@ def test_two_compiled_learners_keep_their_own_hyperparameters():
             make_agent(TD3, gamma=gamma, actor_lr=gamma / 100, compiled=c) for c in (False, True)
         )
         for learner in (eager, compiled):
-            learner.update(batches(4, 1))
+            learn(learner, 4)
         for name, value in parameters(eager).items():
             torch.testing.assert_close(parameters(compiled)[name], value, rtol=1e-4, atol=1e-5)
 
@@ -161,64 +139,49 @@ def test_bad_hyperparameters_of_sac_are_named(name, value):
         make_agent(SAC, **{name: value})
 
 
-def test_the_squashed_gaussian_is_torchrls_tanh_normal():
-    loc, scale = torch.randn(7, 3), torch.rand(7, 3) + 0.1
-    noise = torch.randn(7, 3)
-    action, log_prob = SquashedGaussian(
-        loc, scale, noise, torch.full((7,), 0.5)
-    ).rsample_and_log_prob()
-    torch.testing.assert_close(action, (loc + scale * noise).tanh())
-    reference = TanhNormal(loc, scale, event_dims=1).log_prob(action)
-    torch.testing.assert_close(log_prob, 0.5 * reference, rtol=1e-4, atol=1e-4)
-    density = SquashedGaussian(torch.zeros(1), torch.ones(1), torch.zeros(1), torch.tensor(1.0))
-    assert density.rsample_and_log_prob()[1].item() == pytest.approx(-0.5 * math.log(2 * math.pi))
-
-
 def test_sacs_critic_learns_the_soft_bellman_target():
     """The target, written out: r + gamma (1 - terminated) (min Q' - alpha log pi)."""
-    agent = make_agent(SAC, 2, last_layer_bound=0.3, initial_temperature=0.7, gamma=0.9)
-    batch = batches(1, 2)
-    agent.prepare(batch)
-    batch = batch[0]
+    agent = make_agent(SAC, last_layer_bound=0.3, initial_temperature=0.7, gamma=0.9)
+    learn(agent, 3)
+    batch = batches(1)[0]
+    temperature = agent.loss.log_alpha.detach().exp()
+    torch.manual_seed(2)
+    loss, _ = agent.value_loss(batch)
     with torch.no_grad():
-        loss, _ = agent.value_loss(batch)
-        loc, scale = agent.head(agent._actor(batch["next", "observation"]))
-        before = loc + scale * batch["next", "action_noise"]
-        log_prob = TanhNormal(loc, scale, event_dims=1).log_prob(before.tanh())
+        following = batch["next"].select("observation")
+        head = agent.policy[0](following)
+        torch.manual_seed(2)
+        before = head["_loc"] + head["_scale"] * torch.randn(BATCH, ACTION)
+        density = TanhNormal(head["_loc"], head["_scale"], event_dims=1)
         inputs = batch["next", "observation"], before.tanh()
-        least = torch.stack(
-            [q(*inputs) for q in critics(agent, "target_qvalue_network_params")]
-        ).min(0)[0]
-        soft = least - 0.7 * log_prob
-        target = (
-            batch["next", "reward"].squeeze(-1)
-            + 0.9 * ~batch["next", "terminated"].squeeze(-1) * soft
-        )
-        now = torch.stack(
-            [
-                q(batch["observation"], batch["action"])
-                for q in critics(agent, "qvalue_network_params")
-            ]
-        )
-        expected = (now - target).square().sum(0)
+        values = [q(*inputs) for q in critics(agent.loss, "target_qvalue_network_params")]
+        soft = torch.stack(values).min(0)[0] - temperature * density.log_prob(before.tanh())
+        goes_on = ~batch["next", "terminated"].squeeze(-1)
+        target = batch["next", "reward"].squeeze(-1) + 0.9 * goes_on * soft
+        now = [
+            q(batch["observation"], batch["action"])
+            for q in critics(agent.loss, "qvalue_network_params")
+        ]
+        expected = (torch.stack(now) - target).square().sum(0).mean()
     torch.testing.assert_close(loss, expected, rtol=1e-3, atol=1e-4)
 
 
-def test_sac_tunes_each_seeds_temperature_to_the_entropy():
-    agent = make_agent(SAC, 2, initial_std=0.01, temperature_lr=0.01)  # far too little entropy
+def test_sac_tunes_the_temperature_to_the_entropy():
+    agent = make_agent(SAC, initial_std=0.01, temperature_lr=0.01)  # far too little entropy
     for i in range(20):
-        agent.update(batches(5, 2, seed=i))
-    assert (agent.temperature > 0.1).all()
+        metrics = learn(agent, 5, seed=i)
+    assert metrics["entropy"] < -ACTION
+    assert agent.loss.log_alpha.exp() > 0.1
+    assert metrics["temperature"] > 0.1
 
 
-def test_a_stochastic_policy_acts_alike_in_any_stack():
+def test_a_stochastic_policy_draws_each_action_and_without_exploration_is_the_tanh_of_the_mean():
+    agent = make_agent(SAC, last_layer_bound=0.5)
     td = TensorDict({"observation": torch.zeros(6, OBSERVATION)}, [6])
-    stack, alone = (
-        make_agent(SAC, 3, seed=4).policy(td.clone()),
-        make_agent(SAC, 1, seed=5).policy(td[2:4].clone()),
-    )
-    torch.testing.assert_close(stack["action"][2:4], alone["action"])
-    assert stack["action"].unique(dim=0).shape[0] == 6
+    assert agent.policy(td.clone())["action"].unique(dim=0).shape[0] == 6
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        out = agent.policy(td.clone())
+    torch.testing.assert_close(out["action"], out["_loc"].tanh())
 
 
 def point_mass(num_envs=1):
@@ -227,25 +190,27 @@ def point_mass(num_envs=1):
 
 @each_algorithm
 def test_a_residual_learns_what_the_controller_does_not_know(algorithm, tmp_path):
-    """Four seeds on the drifting point: better than the controller, by a one-sided t test over the seeds."""
+    """Four runs on the drifting point: better than the controller, by a one-sided t test over the seeds."""
     environment = EnvironmentFactory(
         point_mass,
         partial(ProportionalController, gain=10.0, clip=0.5),
         ["end_effector_position", "goal"],
         max_episode_steps=EPISODE_STEPS,
     )
-    settings = TrainerSettings(
-        num_seeds=4,
-        total_steps=1600,
-        warmup_steps=400,
-        steps_per_collection=EPISODE_STEPS,
-        batch_size=32,
-        evaluation={"every": 0, "final_episodes": 50, "slots": 50},
-        checkpoint={"every": 0},
-    )
-    exploration = NoExploration if algorithm is SAC else partial(GaussianExploration, sigma=0.3)
-    agent = partial(algorithm, hidden=[64, 64], gamma=0.9, tau=0.01)
-    with Trainer(settings, environment, agent, exploration, tmp_path) as trainer:
-        comparisons = trainer.run()["training"]
-    gains = [c.summary()["return_gain"] for c in comparisons]
+    gaussian = partial(AdditiveGaussianModule, sigma_init=0.3, sigma_end=0.3)
+    exploration = no_exploration if algorithm is SAC else gaussian
+    agent = partial(algorithm, network=partial(mlp, hidden=[64, 64]), gamma=0.9, tau=0.01)
+    gains = []
+    for seed in range(4):
+        settings = TrainerSettings(
+            seed=seed,
+            total_steps=1600,
+            warmup_steps=400,
+            steps_per_collection=EPISODE_STEPS,
+            batch_size=32,
+            evaluation={"every": 0, "final_episodes": 50, "slots": 50},
+            checkpoint={"every": 0},
+        )
+        with Trainer(settings, environment, agent, exploration, tmp_path / str(seed)) as trainer:
+            gains.append(trainer.run()["training"].summary()["return_gain"])
     assert stats.ttest_1samp(gains, 0.0, alternative="greater").pvalue < 0.01, gains

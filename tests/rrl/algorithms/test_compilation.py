@@ -1,14 +1,39 @@
 """Compiled updates; where nothing can be compiled a learner says so once and learns all the same."""
 
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 import torch
 from torch._inductor import config
 
-from agents import batches, make_agent, parameters
+from agents import learn, make_agent, parameters
 from rrl.algorithms.compilation import CompiledUpdate, being_traced, compiler_problem
+
+TESTS = Path(__file__).parents[2]
+BROKEN_COMPILER = """#!/bin/sh
+[ "$1" = --version ] && echo "g++ 13.3.0" && exit 0
+exit 1
+"""
+LEARN_WITHOUT_COMPILER = """
+import warnings
+import torch
+from agents import learn, make_agent, parameters
+
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always")
+    compiled = make_agent(compiled=True, last_layer_bound=0.1)
+    for k in (4, 3):  # graphs of several kinds
+        learn(compiled, k)
+print(*(w.message for w in caught if issubclass(w.category, UserWarning)), sep="\\n")
+eager = make_agent(last_layer_bound=0.1)
+for k in (4, 3):
+    learn(eager, k)
+for name, value in parameters(eager).items():
+    assert torch.equal(parameters(compiled)[name], value), name
+"""
 
 
 def test_without_a_compiler_the_update_runs_as_it_is():
@@ -21,9 +46,28 @@ def test_without_a_compiler_the_update_runs_as_it_is():
     assert len(warnings) == 1
     eager = make_agent()
     for agent in (compiled, eager):
-        agent.update(batches(4, 1))
+        learn(agent, 4)
     for name, value in parameters(eager).items():
         assert torch.equal(parameters(compiled)[name], value)
+
+
+def test_with_a_broken_compiler_the_update_runs_as_it_is_and_the_cache_is_named_once(tmp_path):
+    """In a process of its own, because PyTorch remembers what a compiler can do."""
+    compiler, cache = tmp_path / "broken-g++", tmp_path / "cache"
+    compiler.write_text(BROKEN_COMPILER)
+    compiler.chmod(0o755)
+    there = {
+        "CXX": str(compiler),
+        "TORCHINDUCTOR_CACHE_DIR": str(cache),
+        "PYTHONPATH": os.pathsep.join([str(TESTS.parent), str(TESTS)]),
+    }
+    command = [sys.executable, "-c", LEARN_WITHOUT_COMPILER]
+    done = subprocess.run(
+        command, check=True, env=os.environ | there, stdout=subprocess.PIPE, text=True
+    )
+    (said,) = done.stdout.splitlines()
+    assert "the update is not compiled" in said
+    assert said.endswith(f"if the compiler's cache is damaged, remove {cache}")
 
 
 def test_with_a_compiler_there_is_no_problem():
