@@ -9,21 +9,22 @@ from torch import Tensor
 __all__ = ["STEPS", "n_step_transitions"]
 
 STEPS = "steps_to_next_obs"
-"""How many steps lie between the observation and the next one; TorchRL's value estimators raise the discount to it."""
+"""Steps between an observation and the next one; value estimators raise the discount to it."""
 
 
 def n_step_transitions(data: TensorDictBase, n: int, gamma: float) -> TensorDictBase:
     """Sum the rewards of up to ``n`` steps, and make the observation after them the next one.
 
-    A transition spans ``m`` steps, the least of ``n``, the steps to the end of its episode and the steps to the end of
-    ``data``. Its reward is ``r_0 + gamma r_1 + ... + gamma^(m-1) r_(m-1)``; the whole of ``next`` (observation, done,
-    terminated) is that of its last step, and ``steps_to_next_obs`` is ``m``. So the return of every transition that
-    reaches a terminal state is the sum of its rewards, without a bootstrapped value, and one that is cut off
-    bootstraps with ``gamma^m``.
+    A transition spans ``m`` steps, the least of ``n``, the steps to the end of its episode and the
+    steps to the end of ``data``. Its reward is ``r_0 + gamma r_1 + ... + gamma^(m-1) r_(m-1)``; the
+    whole of ``next`` (observation, done, terminated) is that of its last step, and
+    ``steps_to_next_obs`` is ``m``. So the return of every transition that reaches a terminal state
+    is the sum of its rewards, without a bootstrapped value, and one that is cut off bootstraps with
+    ``gamma^m``.
 
     Args:
-        data: ``[..., T]`` in the order of time along the last dimension, with ``next`` holding ``reward`` and ``done``
-            of shape ``[..., T, 1]``; left as it is.
+        data: ``[..., T]`` in the order of time along the last dimension, with ``next`` holding
+            ``reward`` and ``done`` of shape ``[..., T, 1]``; left as it is.
         n: largest number of steps, at least 1.
         gamma: discount.
 

@@ -10,8 +10,8 @@ from torch import Tensor
 __all__ = ["Symmetry", "as_map"]
 
 Map = tuple[int, ...]
-"""A signed permutation: number ``i`` of the image is number ``abs(map[i])``, counted from 1, of the original, times the
-map's sign."""
+"""A signed permutation: number ``i`` of the image is number ``abs(map[i])`` of the original,
+counted from 1, times the map's sign."""
 
 MOST_IMAGES = 64
 
@@ -19,17 +19,18 @@ MOST_IMAGES = 64
 class Symmetry:
     """The group of images that some mirrors generate, the original first.
 
-    Two mirrors, left-right and front-back, give four images. A transition's image is a transition of the same task with
-    the same reward.
+    Two mirrors, left-right and front-back, give four images. A transition's image is a transition
+    of the same task with the same reward.
 
     Args:
-        mirrors: for each mirror the map of the observation and the map of the action, such as ``(-1, 2)`` for two
-            numbers of which the mirror turns the first. Centres of mirroring must be 0: see
+        mirrors: for each mirror the map of the observation and the map of the action, such as
+            ``(-1, 2)`` for two numbers of which the mirror turns the first. Centres of mirroring
+            must be 0: see
             :class:`rrl.trainers.environment.Input`.
 
     Raises:
-        ValueError: if a map is no signed permutation, the maps' lengths differ between mirrors, or there are more than
-            64 images.
+        ValueError: if a map is no signed permutation, the maps' lengths differ between mirrors, or
+            there are more than 64 images.
 
     """
 
@@ -66,7 +67,7 @@ class Symmetry:
         return self._action.one(action, which)
 
     def return_actions(self, actions: Tensor, signed: bool = True) -> Tensor:
-        """Return what each image's action ``[..., G, m]`` is in the original; magnitudes are not ``signed``."""
+        """Return what each image's action ``[..., G, m]`` is in the original."""
         return self._action_back.each(actions, signed)
 
 
@@ -98,7 +99,8 @@ def as_map(name: str, given: Sequence[int]) -> Map:
     numbers = tuple(given)
     if not numbers or sorted(map(abs, numbers)) != list(range(1, len(numbers) + 1)):
         raise ValueError(
-            f"{name}: expected each of the numbers 1 to {len(numbers)} once, with a sign, got {list(given)}"
+            f"{name}: expected the numbers 1 to {len(numbers)} once each, with a sign, "
+            f"got {list(given)}"
         )
     return numbers
 

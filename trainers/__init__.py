@@ -1,7 +1,7 @@
 """Training, evaluation, command line.
 
-What a script needs can be imported from here; each name is loaded at its first use, so that the command line's help
-does not wait for torch.
+What a script needs can be imported from here; each name is loaded at its first use, so that the
+command line's help does not wait for torch.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where the commands print: what is to be copied is never wrapped, and no run ends because its terminal does."""
+"""Where the commands print: nothing to copy is wrapped, and no run ends with its terminal."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WIDE = 10_000
 
 
 class Output(Console):
-    """A console that shows text as it is: no markup, no emoji, no line breaks of its own in pipes and files.
+    """A console that shows text as it is: no markup, no emoji, no line breaks of its own.
 
     Args:
         stderr: Whether to write to standard error.

@@ -130,7 +130,7 @@ def _policy(run: str | None) -> TensorDictSequential:
 @lru_cache(maxsize=4)
 @torch.no_grad()
 def _actions(run: str | None) -> Tensor:
-    """Return actions ``[T, n_act]`` of the first episode that the policy solves, or of the first."""
+    """Return actions ``[T, n_act]`` of the first episode that is solved, or of the first."""
     config, policy = _source(run)
     factory = next(iter(assembly.scenarios(config).values()))
     env = factory.make(1)

@@ -83,7 +83,7 @@ class _Ensemble(LossModule):
         }
 
     def _reduced(self, loss: Tensor, tensordict: TensorDictBase) -> Tensor:
-        """Reduce a loss ``[*batch]`` as ``reduction`` says, weighted by priorities if there are any."""
+        """Reduce a loss ``[*batch]`` as ``reduction`` says, weighted by priorities if any."""
         weights = tensordict.get(self.tensor_keys.priority_weight, None)
         if weights is not None and self.use_prioritized_weights:
             loss = loss * weights.reshape(loss.shape)

@@ -141,7 +141,7 @@ def plain_name(name: str) -> str:
 
 
 def _prepare(folder: Path | None = None) -> None:
-    """Let ``_target_`` name modules of the working directory, and groups the files of the project."""
+    """Let ``_target_`` name modules of the working directory, and groups the project's files."""
     here = Path.cwd()
     if str(here) not in sys.path:
         sys.path.append(str(here))  # last: nothing there hides an installed package

@@ -27,20 +27,22 @@ USAGE = """usage: rrl COMMAND [key=value ...]
 
   rrl train [key=value ...]             train on the configuration, end with table, curve and video
   rrl train trainer.num_seeds=5 ...     the same for five seeds, each a run of its own
-  rrl train resume=RUN [key=value ...]  continue a run, or the seeds of one, from the newest checkpoint
-  rrl evaluate run=RUN [key=value ...]  evaluate a run's newest checkpoint, into evaluation-TIME.json
+  rrl train resume=RUN [key=value ...]  continue a run, or the seeds of one
+  rrl evaluate run=RUN [key=value ...]  evaluate its newest checkpoint, into evaluation-TIME.json
   rrl render run=RUN [key=value ...]    write a video of controller and residual on one episode
-  rrl report RUN... [out=FILE]          write one interactive page about a run, or about several side by side
-  rrl dashboard entity=USER [project=P] lay out the W&B workspace (extra rrl[dashboard], after wandb login)
-  rrl reproduce [NAME ...] [key=value]  make the paper's experiments again, all or those named (configs/experiment/);
+  rrl report RUN... [out=FILE]          write one interactive page about runs, side by side
+  rrl dashboard entity=USER [project=P] lay out the W&B workspace (extra rrl[dashboard])
+  rrl reproduce [NAME ...] [key=value]  make the paper's experiments again, all or those named;
                                         scale=quick|paper launcher=local|ray workers=N out=FOLDER
-  rrl new NAME                          make a folder with environment, controller and configuration of your own
+  rrl new NAME                          make a project with environment, controller, configuration
 
-RUN is a run's directory. Keys and groups: rrl train --help; the whole configuration: rrl train --cfg job.
-Packages and a folder configs/ of the working directory are found: env=mine reads configs/env/mine.yaml, and a file
-there comes before ours of the same name. Set RRL_TRACEBACK=1 to see where an error comes from.
+RUN is a run's directory. Keys and groups: rrl train --help; all of it: rrl train --cfg job.
+Packages and a folder configs/ of the working directory are found: env=mine reads
+configs/env/mine.yaml, and a file there comes before ours of the same name. Set RRL_TRACEBACK=1 to
+see where an error comes from.
 
-Ctrl-C, SIGTERM and SIGHUP finish the round, save and print how to go on; a second one ends the process at once.
+Ctrl-C, SIGTERM and SIGHUP finish the round, save and print how to go on; a second one ends the
+process at once.
 Exit status: 0 done, 2 an error (one message on stderr), 128 + n stopped by signal n.
 """
 
@@ -77,7 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def as_path(text: str) -> Path:
-    """Return the absolute path that an argument names; ``~`` is the home unless a file is called so."""
+    """Return the absolute path of an argument; ``~`` is the home unless a file is called so."""
     path = Path(text)
     if not path.exists() and text.startswith("~"):
         path = Path(os.path.expanduser(text))  # noqa: PTH111 - Path's raises for unknown users

@@ -1,4 +1,4 @@
-"""``rrl new NAME``: a folder with an environment, a controller and their configuration, which trains as it stands."""
+"""``rrl new NAME``: a project with environment, controller and configuration, ready to train."""
 
 from __future__ import annotations
 

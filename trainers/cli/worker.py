@@ -1,4 +1,4 @@
-"""The process of one run: ``rrl``, ended with a checkpoint when the process that started it dies."""
+"""The process of one run: it saves and ends when the process that started it dies."""
 
 from __future__ import annotations
 

@@ -161,7 +161,7 @@ def _check_build(path: str, node: Target, given: Config, built: dict[str, Any]) 
 
 
 def _check_environment(path: str, node: Target) -> Problems:
-    """Check an environment's arguments by signature, and by its ``check_arguments`` if it has one."""
+    """Check an environment's arguments by signature, and by ``check_arguments`` if it has one."""
     found = list(_check_arguments(path, node, {"num_envs": 1}))
     yield from found
     if found:
@@ -173,7 +173,7 @@ def _check_environment(path: str, node: Target) -> Problems:
 
 
 def entries(base: Target) -> dict[str, int] | None:
-    """Return the sizes of the observation entries, if the environment tells them without being built."""
+    """Return the observation entries' sizes, if the environment tells them unbuilt."""
     tell = getattr(locate(base["_target_"]), "check_arguments", None)
     arguments = {key: value for key, value in base.items() if key != "_target_"}
     return None if tell is None else dict(tell(**arguments))
@@ -208,7 +208,7 @@ def _check_arguments(path: str, node: Target, given: Config | int | None) -> Pro
 
 
 def _parameters(target: Any) -> dict[str, inspect.Parameter]:
-    """Return a target's parameters; an agent's ``**settings`` are the fields of its ``Settings``."""
+    """Return a target's parameters; an agent's ``**settings`` are fields of its ``Settings``."""
     parameters = dict(inspect.signature(target).parameters)
     settings = getattr(target, "Settings", None)
     if settings is None:

@@ -64,7 +64,8 @@ def rollout(
 
     Yields:
         What the reset gave, then what every step led to, with its ``action``, ``reward`` and
-        ``done``; beside it the slots whose episode had not ended before that step, bool ``[slots]``.
+        ``done``; beside it the slots whose episode had not ended before that step, bool
+        ``[slots]``.
     """
     slots = max(env.batch_size.numel(), 1)
     running = torch.arange(slots) < (episodes or slots)

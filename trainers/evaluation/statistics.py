@@ -34,7 +34,7 @@ NO_INTERVAL = (float("nan"), float("nan"))
 _MEAN_PRIOR = 0.75
 """Of the mean rate: Beta(0.75, 0.75), between Jeffreys' prior and the uniform one."""
 _SPREAD_PRIOR = 0.2
-"""Of the square root of the correlation within a run: half-Cauchy with this scale (Gelman, 2006)."""
+"""Of the root of the correlation within a run: half-Cauchy with this scale (Gelman, 2006)."""
 _MEANS, _SPREADS = 400, 40
 
 

@@ -22,7 +22,7 @@ from .rollout import isolated_generators, rollout, zero_residual
 __all__ = ["Renderer", "choose_episode", "record", "render_comparison"]
 
 Renderer = Callable[..., np.ndarray]
-"""``renderer(base_env, states, width=..., height=...)`` gives frames ``[T, height, width, 3]``, uint8."""
+"""``renderer(base_env, states, width=..., height=...)`` gives uint8 frames ``[T, h, w, 3]``."""
 
 PASS, FAIL = (46, 125, 50), (183, 28, 28)
 HOLD_SECONDS = 1.0

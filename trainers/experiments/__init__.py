@@ -1,5 +1,5 @@
 """The paper's experiments: from a YAML file to runs, statistics, figures and a report.
 
-``spec`` reads the files, ``plan`` turns them into jobs of the pool, ``outcomes`` reads the runs back,
-``tables``, ``figures``, ``claims`` and ``report`` show them, ``reproduce`` is the command.
+``spec`` reads the files, ``plan`` turns them into jobs of the pool, ``outcomes`` reads the runs
+back, ``tables``, ``figures``, ``claims`` and ``report`` show them, ``reproduce`` is the command.
 """

@@ -46,7 +46,7 @@ Test = Callable[[Finding], tuple[bool, str]]
 
 
 def judge(findings: Findings) -> list[Verdict]:
-    """Every claim whose experiment is there; a claim that lacks some of its outcomes is not tested."""
+    """Return a verdict on every claim whose experiment is there."""
     verdicts = []
     for claim, experiment, test in CLAIMS:
         if experiment not in findings:
@@ -68,28 +68,31 @@ def learns_faster(finding: Finding) -> tuple[bool, str]:
     low, high = mean_interval(residual)[0], mean_interval(alone)[1]
     return (
         low > high,
-        f"mean return over training: residual {_with_interval(residual)}, RL alone {_with_interval(alone)}",
+        f"mean return over training: residual {_with_interval(residual)}, "
+        f"RL alone {_with_interval(alone)}",
     )
 
 
 def ends_above(finding: Finding) -> tuple[bool, str]:
-    """The gain in return over the controller, on the same episodes, is above zero by its interval over seeds."""
+    """The paired gain in return over the controller is above zero by its interval over seeds."""
     outcome = finding.arm(RESIDUAL)[0]
     gain = outcome.final("return_gain")
     controller = outcome.final("controller_return")[0]
-    text = f"final return: residual {_with_interval(outcome.final('return'))}, controller {controller:.2f}, gain {_with_interval(gain)}"
+    text = f"final return: residual {_with_interval(outcome.final('return'))}, "
+    text += f"controller {controller:.2f}, gain {_with_interval(gain)}"
     return mean_interval(gain)[0] > 0, text
 
 
 def stays_level(finding: Finding) -> tuple[bool, str]:
-    """From the smallest setting to the largest the controller loses return, the residual a third of that at most."""
+    """Over the settings the controller loses return, the residual a third of that at most."""
     first, last = _ends(finding)
     lost = {
         name: float((first.final(name) - last.final(name)).mean())
         for name in ("return", "controller_return")
     }
     falls = lost["controller_return"] > 0.05 * abs(float(first.final("controller_return").mean()))
-    text = f"return lost from {first.point.value:g} to {last.point.value:g}: residual {lost['return']:.2f}, "
+    text = f"return lost from {first.point.value:g} to {last.point.value:g}: "
+    text += f"residual {lost['return']:.2f}, "
     text += f"controller {lost['controller_return']:.2f}; {_rates(first, last)}"
     return falls and lost["return"] <= LEVEL * lost["controller_return"], text
 
@@ -99,7 +102,8 @@ def withstands_noise(finding: Finding) -> tuple[bool, str]:
     first, last = _ends(finding)
     before, after = (float(outcome.final("return").mean()) for outcome in (first, last))
     controller = [float(outcome.final("controller_return").mean()) for outcome in (first, last)]
-    text = f"return at sigma = {first.point.value:g} and {last.point.value:g}: residual {before:.2f} and {after:.2f}, "
+    text = f"return at sigma = {first.point.value:g} and {last.point.value:g}: "
+    text += f"residual {before:.2f} and {after:.2f}, "
     return before - after < 0.1 * abs(
         before
     ), f"{text}controller {controller[0]:.2f} and {controller[1]:.2f}"
@@ -118,12 +122,13 @@ def solves_aligned(finding: Finding) -> tuple[bool, str]:
 
 
 def success_grows(finding: Finding) -> tuple[bool, str]:
-    """The last evaluation is at 15 of 20 or more, and above the first one by its interval over seeds."""
+    """The last evaluation is at 15 of 20 or more, and above the first by its interval."""
     curve = finding.outcomes[0].curve("success")
     first, last = curve.values[:, 0], curve.values[:, -1]
     episodes = int(finding.outcomes[0].point.config["trainer"]["evaluation"]["episodes"])
     low, high = success_interval(np.rint(last * episodes).astype(int).tolist(), episodes)
-    text = f"success at step {curve.steps[0]:.0f}: {first.mean():.0%}, at {curve.steps[-1]:.0f}: {last.mean():.0%} "
+    text = f"success at step {curve.steps[0]:.0f}: {first.mean():.0%}, "
+    text += f"at {curve.steps[-1]:.0f}: {last.mean():.0%} "
     text += f"[{low:.0%}, {high:.0%}]"
     return bool(last.mean() >= 15 / 20 and mean_interval(last - first)[0] > 0), text
 
@@ -154,7 +159,8 @@ def transfers_quickly(finding: Finding) -> tuple[bool, str]:
 def explores_wider(finding: Finding) -> tuple[bool, str]:
     """The summed variance of the positions visited: the intervals over seeds are apart."""
     residual, alone = (variances(finding.arm(arm)[0]).sum(axis=1) for arm in (RESIDUAL, ALONE))
-    text = f"variance of the positions visited [cm^2]: RL alone {_with_interval(alone)}, residual {_with_interval(residual)}"
+    text = f"variance of the positions visited [cm^2]: RL alone {_with_interval(alone)}, "
+    text += f"residual {_with_interval(residual)}"
     return mean_interval(alone)[0] > mean_interval(residual)[1], text
 
 

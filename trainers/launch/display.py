@@ -29,7 +29,7 @@ SPEED_SECONDS = 600.0
 
 
 class Display:
-    """A bar for all runs and one for each that is under way; plain lines where there is no terminal."""
+    """A bar for all runs and one for each under way; plain lines without a terminal."""
 
     def __init__(self, console: Output) -> None:
         self.console = console
@@ -112,9 +112,9 @@ def latest(run_dir: Path) -> tuple[int, float | None]:
         steps = int(cells[0])
         group, _, entry = cells[-2].partition("/")
         first = steps > evaluated  # the followed scenario is evaluated before the others
-        if first and group == metrics.EVALUATION and entry.count("/") == 1:
-            if entry.endswith("/success"):
-                evaluated, success = steps, float(cells[-1])
+        followed = first and group == metrics.EVALUATION and entry.count("/") == 1
+        if followed and entry.endswith("/success"):
+            evaluated, success = steps, float(cells[-1])
     return steps, success
 
 

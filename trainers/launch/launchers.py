@@ -20,7 +20,7 @@ GRACE_SECONDS = 120.0
 """How long a run that is asked to stop may take to finish its round and save."""
 
 WORKER = "rrl.trainers.cli.worker"
-"""The module that a run's process executes; named, because the command line imports this package."""
+"""What a run's process executes; by name, because the command line imports this package."""
 
 
 class Handle(Protocol):

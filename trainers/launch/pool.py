@@ -1,4 +1,4 @@
-"""Runs jobs as places become free: each after those it needs, a failed one without stopping the others."""
+"""Runs jobs as places become free, each after those it needs; a failed one stops no other."""
 
 from __future__ import annotations
 

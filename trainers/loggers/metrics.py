@@ -25,7 +25,7 @@ Values = Mapping[str, float]
 """Metric name to value."""
 
 TRAIN = "train"
-"""What the exploring policy experiences: ``train/reward``, ``train/success``, ``train/reward_terms/<term>``."""
+"""What the exploring policy meets: ``train/return``, ``.../success``, ``.../reward_terms/<term>``."""
 
 LOSS = "loss"
 """What the updates report: ``loss/loss_critic``, ``loss/q_value``, ``loss/target_value``."""
@@ -38,7 +38,7 @@ FINAL = "final"
 """The same of the final episodes, of every scenario: ``final/<scenario>/success``."""
 
 ACTION = "action"
-"""The split of work: ``action/residual_rms``, ``action/residual_share``, ``action/clip_fraction``."""
+"""Who does the work: ``action/residual_rms``, ``.../residual_share``, ``.../clip_fraction``."""
 
 SAFETY = "safety"
 """Share of the training steps in which a limit changed the action: ``safety/workspace``,

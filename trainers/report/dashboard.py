@@ -1,4 +1,4 @@
-"""A Weights & Biases workspace with our panels; runs are grouped, everything is over environment steps.
+"""A Weights & Biases workspace with our panels: runs in groups, over environment steps.
 
 It needs the extra ``rrl[dashboard]``. Building it asks no server; only saving needs an account.
 """

@@ -1,4 +1,4 @@
-"""A self-contained HTML page: text, tables, pictures, videos and interactive charts, readable without a network."""
+"""A self-contained HTML page: text, tables, pictures, videos and interactive charts."""
 
 from __future__ import annotations
 
@@ -53,7 +53,8 @@ class Page:
         for row in rows:
             if len(row) != len(header):
                 raise ValueError(
-                    f"table: expected {len(header)} cells {list(header)}, got {len(row)}: {list(row)}"
+                    f"table: expected {len(header)} cells {list(header)}, "
+                    f"got {len(row)}: {list(row)}"
                 )
         head = "".join(f"<th>{_text(cell)}</th>" for cell in header)
         body = "\n".join(

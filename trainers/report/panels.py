@@ -50,8 +50,8 @@ LEARNING = (
     _evaluated("return", "return of an episode"),
 )
 CHANGES = (
-    _evaluated("rescue_rate", "rescued: only the residual solves them [%]", counted=True, paired=False),
-    _evaluated("regression_rate", "broken: only the controller solves them [%]", counted=True, paired=False),
+    _evaluated("rescue_rate", "rescued by the residual [%]", counted=True, paired=False),
+    _evaluated("regression_rate", "broken by the residual [%]", counted=True, paired=False),
 )  # fmt: skip
 SHARES = (
     Panel("action/residual_share", "residual's share of the action [%]", 100.0, RATE),
@@ -84,7 +84,8 @@ def logged(names: Iterable[str]) -> list[Panel]:
 
 def safety(limits: Iterable[str]) -> list[Panel]:
     """Return two panels for every safety limit: steps that it changed in training, and followed."""
-    kinds = {"training": f"{metrics.SAFETY}/", "evaluation": f"{metrics.EVALUATION}/{FOLLOWED}/{metrics.SAFETY}_"}  # fmt: skip
+    evaluation = metrics.name(metrics.EVALUATION, FOLLOWED, f"{metrics.SAFETY}_")
+    kinds = {"training": f"{metrics.SAFETY}/", "evaluation": evaluation}
     return [
         Panel(prefix + limit, f"{limit}, {kind} [%]", 100.0, RATE)
         for limit in limits

@@ -20,7 +20,7 @@ __all__ = ["write_report"]
 
 MAX_TITLE = 80
 MAX_VIDEO_BYTES = 20_000_000
-"""A page of all videos larger than this could not be mailed; the rest stay in the run's directory."""
+"""A page with more videos could not be mailed; the rest stay in the run's directory."""
 
 
 def write_report(runs: Sequence[Run], out: Path) -> Path:

@@ -180,7 +180,8 @@ def find_runs(paths: Sequence[Path]) -> list[Run]:
         below = [p for p in _run_dirs(path) if _readable(p)]
         if not below:
             raise FileNotFoundError(
-                f"{path}: expected the directory of a run, or a folder of runs, got no {CONFIG_FILE}"
+                f"{path}: expected the directory of a run, or a folder of runs, "
+                f"got no {CONFIG_FILE}"
             )
         found += below
     found = list(dict.fromkeys(p.resolve() for p in found))
@@ -238,7 +239,9 @@ def _labels(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
         return list(names)
     common = _common(paths)
     labels = [str(path.relative_to(common)) for path in paths]
-    return labels if len(set(labels)) == len(labels) else [f"{n} ({k})" for k, n in enumerate(labels, 1)]  # fmt: skip
+    if len(set(labels)) == len(labels):
+        return labels
+    return [f"{name} ({number})" for number, name in enumerate(labels, 1)]
 
 
 def _common(paths: Sequence[Path]) -> Path:

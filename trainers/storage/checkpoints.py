@@ -5,15 +5,15 @@ Layout, below the run's directory::
     config.yaml                      the resolved configuration
     metrics.csv                      every metric so far
     wandb_id                         identity of the W&B run
-    transitions/                     every transition, appended as it is stored; see :mod:`.transition_log`
+    transitions/                     every transition; see :mod:`.transition_log`
     checkpoints/
         checkpoint-000000005000/     made under a temporary name, synced to disk, then renamed
             manifest.json            TorchRL's manifest
-            seal.json                schema version, configuration, position in transitions/, SHA-256 of every file
+            seal.json                configuration, position in transitions/, SHA-256 of every file
             components/
                 agent/               parameters, targets, optimizers, update counter
-                collection/          physics, transforms, controller, exploration, the observation to act
-                                     on; where collection overlaps, the parameters to act with
+                collection/          physics, transforms, exploration, what the policy sees next;
+                                     where collection overlaps, the parameters to act with
                 progress/            counters
                 replay/              position in transitions/
                 rng/                 global generators of Python, NumPy and torch
@@ -41,7 +41,7 @@ from .run_files import CHECKPOINTS
 log = logging.getLogger(__name__)
 
 Note = dict[str, Any]
-"""What is sealed with a checkpoint: ``env_steps``, ``transitions`` (position in the log), ``config``."""
+"""What is sealed with a checkpoint: ``env_steps``, ``transitions`` (a position), ``config``."""
 
 PREFIX, TORN = "checkpoint-", ".torn"
 
@@ -64,7 +64,7 @@ class Checkpoints:
             self._checkpoint.register(name, component, adapter=_WeightsOnly())
 
     def claim(self) -> None:
-        """Keep other processes from training in the run's directory, until :meth:`release` or the process's death.
+        """Keep other processes from training here, until :meth:`release` or the process's end.
 
         Raises:
             BlockingIOError: if another process does.
@@ -79,7 +79,7 @@ class Checkpoints:
             self._lock = None
 
     def save(self, env_steps: int, note: Note) -> Path:
-        """Write a checkpoint and drop the ones beyond ``keep``; a kill at any moment leaves the ones before.
+        """Write a checkpoint and drop those beyond ``keep``; a kill leaves the ones before.
 
         Raises:
             OSError: if it cannot be written.
@@ -106,7 +106,7 @@ class Checkpoints:
         return bool(_found(self._folder))
 
     def load(self, path: Path, torn: Sequence[Path] = ()) -> None:
-        """Restore every component from the checkpoint ``path``; rename the ``torn`` ones: nothing reads them again."""
+        """Restore every component from ``path``; rename the ``torn`` ones."""
         self._checkpoint.load(path)
         for other in torn:
             aside = other.with_name(other.name + TORN)
@@ -115,7 +115,7 @@ class Checkpoints:
         self._sweep()
 
     def oldest_transition(self) -> int:
-        """The position in the log of the oldest checkpoint that stays; 0 while that cannot be told."""
+        """Return the oldest checkpoint's position in the log; 0 while that cannot be told."""
         try:
             return int(read_note(_found(self._folder)[0])["transitions"]["count"])
         except (IndexError, ValueError):
@@ -135,11 +135,11 @@ class Checkpoints:
 def newest_whole(
     run_dir: Path, accept: Callable[[Note], None] = lambda note: None
 ) -> tuple[Path, Note, list[Path]]:
-    """The newest checkpoint of a run whose checksums are right, its note, and the newer ones that are torn.
+    """Return the newest whole checkpoint of a run, its note, and the newer ones that are torn.
 
     Args:
         run_dir: the run's directory.
-        accept: called with a checkpoint's note; raises a ValueError if the checkpoint does not fit the run's files.
+        accept: Called with a checkpoint's note; raises a ValueError if it does not fit the run.
 
     Raises:
         FileNotFoundError: if the run has none; the message says where it was looked for.
@@ -192,9 +192,9 @@ def _found(folder: Path) -> list[Path]:
 
 
 class _WeightsOnly(CheckpointAdapter):
-    """One file a component, read by PyTorch's weights-only unpickler, which builds tensors and plain containers.
+    """One file a component, read by PyTorch's weights-only unpickler.
 
-    TorchRL's own adapter would also read payload formats that unpickle objects, if it found any in a checkpoint.
+    TorchRL's own adapter would also read formats that unpickle objects, if it found any.
     """
 
     adapter_id = "rrl.weights_only"

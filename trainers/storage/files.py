@@ -15,7 +15,7 @@ SCHEMA_VERSION = 1
 
 
 def write_atomically(path: Path, text: str) -> None:
-    """Replace ``path`` by ``text``: whoever reads it, at whatever moment, finds all of the old or all of the new."""
+    """Replace ``path`` by ``text``; a reader finds all of the old or all of the new."""
     partial = path.with_name(f".{path.name}.partial")
     with partial.open("w", encoding="utf-8") as file:
         file.write(text)
@@ -35,7 +35,7 @@ def sync(path: Path) -> None:
 
 
 def lock(folder: Path) -> int:
-    """Claim a directory for this process until the returned descriptor is closed, or the process dies.
+    """Claim a directory until the returned descriptor is closed, or the process dies.
 
     Raises:
         BlockingIOError: if another process has claimed it.
@@ -50,7 +50,7 @@ def lock(folder: Path) -> int:
 
 
 def seal(folder: Path, note: Mapping[str, Any]) -> None:
-    """Write ``seal.json``: schema version, size and SHA-256 of every file below ``folder``, and a note; then sync all.
+    """Write ``seal.json`` with size and SHA-256 of every file below ``folder``; fsync all.
 
     Layout::
 

@@ -22,6 +22,6 @@ def require_finite(tensors: Mapping[str, Tensor], what: str) -> None:
     if broken:
         more = f" and {len(broken) - 3} more" if len(broken) > 3 else ""
         raise FloatingPointError(
-            f"{what} numbers that are not finite in {', '.join(broken[:3])}{more}; everything before "
-            "is on disk: the newest checkpoint and all transitions"
+            f"{what} numbers that are not finite in {', '.join(map(str, broken[:3]))}{more}; "
+            "everything before is on disk: the newest checkpoint and all transitions"
         )

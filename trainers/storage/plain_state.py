@@ -89,6 +89,7 @@ def _key(key: Any, path: str) -> Any:
 
 def _refused(path: str, what: str) -> TypeError:
     return TypeError(
-        f"{path}: expected tensors, NumPy arrays, numbers, text, lists or dictionaries, got {what}; "
+        f"{path}: expected tensors, NumPy arrays, numbers, text, lists or dictionaries, "
+        f"got {what}; "
         "let state_dict return it as such, or leave it out"
     )

@@ -25,7 +25,7 @@ CHUNK = 2**16
 
 
 def stored_keys(inputs: Iterable[NestedKey]) -> list[NestedKey]:
-    """Return what the replay buffer keeps: the *policy's* action, before controller and disturbance."""
+    """Return what is kept: the *policy's* action, before controller and disturbance."""
     following = [*inputs, "reward", "done", "terminated"]
     nested = [("next", *([key] if isinstance(key, str) else key)) for key in following]
     return [*inputs, ACTION, *nested]
@@ -139,7 +139,8 @@ class ReplayStore:
             raise ValueError(f"{self.log.folder}: expected {count} records, got {self.log.count}")
         if self.log.checksum(count) != mark["checksum"]:
             raise ValueError(
-                f"{self.log.folder}: expected the record {count - 1} of the checkpoint's run, got another"
+                f"{self.log.folder}: expected record {count - 1} as the checkpoint knows it, "
+                "got another"
             )
 
     def state_dict(self) -> dict[str, Any]:
@@ -171,8 +172,8 @@ class ReplayStore:
         """Put the nearest sound transition in the place of each damaged one."""
         more = ", ..." if len(damaged) > 5 else ""
         log.warning(
-            "%d of the stored transitions are damaged on disk (records %s); each is replaced by its "
-            "neighbor, all others are whole",
+            "%d of the stored transitions are damaged on disk (records %s); each is replaced by "
+            "its neighbor, all others are whole",
             len(damaged),
             ", ".join(map(str, damaged[:5])) + more,
         )

@@ -25,8 +25,8 @@ MAY_CHANGE = (
     "algorithm.agent.*_lr",
     "algorithm.agent.compiled",
 )
-"""Dotted keys, with ``*`` for anything. Everything else decides what the learned parameters and the stored transitions
-mean, or which random numbers come next."""
+"""Dotted keys, with ``*`` for anything. All others decide what parameters and transitions mean, or
+which random numbers come next."""
 
 ABSENT = "(absent)"
 

@@ -3,20 +3,21 @@
 Layout, below the run's directory::
 
     transitions/
-        schema.json                  {"version": 1, "records_per_segment": R, "fields": [[key, dtype, shape], ...]}
-                                     a key is a list of names, so that these may hold any character
+        schema.json                  {"version", "records_per_segment", "fields"}; a field is
+                                     [key, dtype, shape], its key a list of names
         segment_000000.bin           records 0 .. R - 1
         segment_000001.bin           records R .. 2R - 1; the last segment is the one that grows
-        tail_000000005000_000.bin    records from 5000 on that a resumed run made anew; see :meth:`TransitionLog.cut`
+        tail_000000005000_000.bin    records from 5000 on that a resumed run made anew
 
     one record:  field | field | ... | crc32
 
-A record is one transition: its fields one after the other without gaps, little endian, then the CRC-32 of these bytes
-continued from the record before it (the first of a segment from the segment's number). So every record is checked by
-itself and for its place, and a checksum stands for all before it. Nothing is pickled; ``numpy.fromfile`` reads it.
+A record is one transition: its fields one after the other without gaps, little endian, then the
+CRC-32 of these bytes continued from the record before it (the first of a segment from the segment's
+number). So every record is checked by itself and for its place, and a checksum stands for all
+before it. Nothing is pickled; ``numpy.fromfile`` reads it.
 
-A record that was handed to the operating system survives the death of the process. The disk itself is made to hold it
-by :meth:`TransitionLog.sync`, with every checkpoint, which is what a loss of power goes back to.
+A record that was handed to the operating system survives the death of the process. With every
+checkpoint :meth:`TransitionLog.sync` calls fsync, which is what a loss of power goes back to.
 """
 
 from __future__ import annotations
@@ -99,7 +100,7 @@ class TransitionLog:
         return TensorDict(fields, [len(records)]), damaged
 
     def sync(self) -> None:
-        """Have the disk hold everything that was appended. The cost is that of what came since the last time."""
+        """Fsync what was appended since the last time."""
         for path in self._unsynced:
             sync(path)
         if self._unsynced:

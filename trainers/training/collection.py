@@ -57,7 +57,7 @@ class Collection(ABC):
 
     @abstractmethod
     def collect(self, env_steps: int) -> tuple[TensorDictBase, Metrics]:
-        """Return the transitions ``[E, T]`` of the round that starts at ``env_steps``, and metrics."""
+        """Return transitions ``[E, T]`` of the round that starts at ``env_steps``, and metrics."""
 
     def before_updates(self, next_round: int | None, checkpoint_due: bool) -> None:  # noqa: B027
         """Prepare for the updates of this round, during which the next may be collected.
@@ -137,7 +137,7 @@ class InTurn(Collection):
         self.stopwatch = watch_collection(self.env, modules) if self.settings.profile else None
 
     def rollout(self, env_steps: int) -> TensorDictBase:
-        """Return all that the environment wrote in the round that starts at ``env_steps``, [E, T]."""
+        """Return all that the environment wrote in a round, ``[E, T]``."""
         explores = self.settings.warmup_exploration or env_steps >= self.settings.warmup_steps
         random, fixed = ExplorationType.RANDOM, ExplorationType.DETERMINISTIC
         self.collector.exploration_type = random if explores else fixed

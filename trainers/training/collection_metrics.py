@@ -1,4 +1,4 @@
-"""What a collection tells about behavior: reward, success, and how controller and residual share."""
+"""What a collection tells: reward, success, and how controller and residual share the work."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class EpisodeReturns:
         self.running = torch.zeros_like(self.running)
 
     def metrics(self, data: TensorDictBase) -> dict[str, float]:
-        """Return ``train/return``, the mean over episodes that end in ``data`` [E, T], if any do."""
+        """Return ``train/return``, the mean over episodes that end in ``data`` [E, T]."""
         rewards = data["next", "reward"].reshape(*data.shape, -1).double().sum(-1)
         done = data["next", "done"].reshape(*data.shape, -1).any(-1)
         ended: list[Tensor] = []

@@ -94,7 +94,7 @@ def goes_on_from_its_state(env: EnvBase) -> tuple[bool, bool]:
         env.load_state_dict(state)
     except Exception as error:  # no way back, whatever the reason
         log.warning(
-            "the environment's state cannot be restored (%s: %s); a resumed run begins a new episode",
+            "the environment's state cannot be restored (%s: %s); a resumed run begins an episode",
             type(error).__name__,
             error,
         )

@@ -49,8 +49,8 @@ class Interruption:
 
         SIGHUP stays ignored where it is, as below ``nohup``.
 
-        Ending at once loses nothing that a SIGKILL would not lose. Outside of the main thread, where Python allows no
-        signal handlers, this does nothing.
+        Ending at once loses nothing that a SIGKILL would not lose. Outside of the main thread,
+        where Python allows no signal handlers, this does nothing.
         """
         if threading.current_thread() is not threading.main_thread():
             yield self

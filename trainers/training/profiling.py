@@ -20,9 +20,10 @@ BACKGROUND = "background"
 
 
 def watch_collection(env: TransformedEnv, modules: Mapping[str, TensorDictModuleBase]) -> Stopwatch:
-    """Have the parts of a collection timed: the bare environment, each transform, each of the policy's ``modules``.
+    """Time the parts of a collection: the bare environment, each transform, each module.
 
-    What the collector, TensorDict and TorchRL's environment classes need beyond that is the rest of ``time/collect``.
+    What the collector, TensorDict and TorchRL's environment classes need beyond that is the rest of
+    ``time/collect``.
     """
     stopwatch = Stopwatch()
     _time(stopwatch, env.base_env, "_step", "collect/environment")
@@ -53,7 +54,7 @@ class Profile:
         self.env_steps = 0
 
     def add(self, values: metrics.Values, env_steps: int) -> None:
-        """Take the metrics of a round of ``env_steps`` steps; rounds without an update are left out."""
+        """Take the metrics of a round of ``env_steps`` steps, unless it had no update."""
         prefix = f"{metrics.TIME}/"
         times = {key.removeprefix(prefix): v for key, v in values.items() if key.startswith(prefix)}
         if "update" not in times:
@@ -83,7 +84,7 @@ class Profile:
         return rows
 
     def table(self) -> Table:
-        """:meth:`rows` for the terminal, with each section's share of the sum; below it what a second process did."""
+        """Return :meth:`rows` for the terminal; what a second process did stands below the sum."""
         rows = self.rows()
         end = next((i for i, (name, _) in enumerate(rows) if name == BACKGROUND), len(rows))
         total = sum(value for name, value in rows[:end] if not name.startswith(" "))

@@ -76,7 +76,7 @@ class Progress:
 
 @contextmanager
 def _above_the_bar() -> Iterator[None]:
-    """Let log messages pass through the bar, which has taken the place of stdout and stderr, and not across it."""
+    """Let log messages pass through the bar, which stands in for stdout and stderr."""
     handlers = [h for h in logging.getLogger().handlers if isinstance(h, logging.StreamHandler)]
     before = {h: h.stream for h in handlers if h.stream in (sys.__stdout__, sys.__stderr__)}
     for handler, stream in before.items():

@@ -1,7 +1,8 @@
 """With ``safety=all`` no limit is exceeded, whatever is asked for, and what the limits did is counted and logged.
 
-What counts is what reaches the physics and what the physics then does, in every environment of training and
-evaluation. The force limit of the configuration holds for commanded motion; the step limit keeps impacts below it.
+What counts is what reaches the physics and what the physics then does, in every environment of
+training and evaluation. The force limit of the configuration holds for commanded motion; the step
+limit keeps impacts below it.
 """
 
 import csv
