@@ -34,7 +34,7 @@ SETTINGS = {
         "render.enabled=false",
         "env=point",
         "algorithm=td3",
-        "algorithm.agent.hidden=[16,16]",
+        "algorithm.agent.network.hidden=[16,16]",
     ],
     "scales": {
         "tiny": {

@@ -15,7 +15,8 @@ from nbclient import NotebookClient
 from omegaconf import OmegaConf
 
 from rrl.controllers import ProportionalController
-from rrl.trainers.cli.main import COMMANDS, plain_name
+from rrl.trainers.cli.compose import plain_name
+from rrl.trainers.cli.main import COMMANDS
 from rrl.trainers.cli.new import create
 from rrl.trainers.configuration import build as assembly
 from rrl.trainers.environment import EnvironmentFactory, Input

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 import traceback
+import weakref
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -21,15 +23,16 @@ class WorkerErrors:
     """
 
     def __init__(self) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="rrl-workers-")
+        self._folder = Path(tempfile.mkdtemp(prefix="rrl-workers-"))
+        weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
 
     def reporting(self, make: Callable[[], EnvBase], index: int) -> Callable[[], EnvBase]:
         """Return ``make`` for worker ``index``, whose environment leaves its errors behind."""
-        return partial(_make, make, Path(self._folder.name) / f"{index:06d}")
+        return partial(_make, make, self._folder / f"{index:06d}")
 
     def explained(self, error: RuntimeError) -> RuntimeError:
         """Return an error that names the workers that ended and what they raised."""
-        reports = sorted(Path(self._folder.name).iterdir())
+        reports = sorted(self._folder.iterdir())
         reasons = [
             f"worker {int(path.name)}: {path.read_text(encoding='utf-8').strip()}"
             for path in reports

@@ -19,7 +19,7 @@ from rrl.envs.insertion.config import make_config
 from rrl.envs.insertion.physics.control import set_points
 from rrl.envs.insertion.physics.simulation import BatchSimulation
 from rrl.envs.insertion.physics.start import draw_episode
-from rrl.trainers.cli.main import plain_name
+from rrl.trainers.cli.compose import plain_name
 
 Config = dict[str, Any]
 

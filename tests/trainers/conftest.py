@@ -5,10 +5,10 @@ from functools import partial
 
 import pytest
 import torch
+from torchrl.modules import AdditiveGaussianModule
 
-from rrl.algorithms import TD3
+from rrl.algorithms import TD3, mlp
 from rrl.controllers import ProportionalController
-from rrl.exploration import GaussianExploration
 from rrl.trainers.environment import EnvironmentFactory, Input
 from rrl.trainers.loggers import CSVLogger
 from rrl.trainers.settings import CheckpointSettings, EvaluationSettings, TrainerSettings
@@ -47,7 +47,7 @@ def settings():
         values = {
             "total_steps": 200,
             "warmup_steps": 100,
-            "steps_per_collection": EPISODE_STEPS,
+            "steps_per_collection": EPISODE_STEPS // changes.get("num_envs", 1),
             "batch_size": 32,
             "evaluation": EvaluationSettings(every=100, episodes=10, final_episodes=10, slots=10),
             "checkpoint": CheckpointSettings(every=100),
@@ -68,8 +68,8 @@ def make_trainer(factory, settings, tmp_path):
         return Trainer(
             settings(**changes),
             environment,
-            agent or partial(TD3, hidden=[32, 32], gamma=0.9),
-            exploration or partial(GaussianExploration, sigma=0.3),
+            agent or partial(TD3, network=partial(mlp, hidden=[32, 32]), gamma=0.9),
+            exploration or partial(AdditiveGaussianModule, sigma_init=0.3, sigma_end=0.3),
             tmp_path / run_dir,
             scenarios={"drift": environment},
             loggers=[CSVLogger()] if loggers is None else loggers,

@@ -21,7 +21,7 @@ from rrl.trainers.report.summary import write_results
 
 SMALL = [
     "algorithm=td3",
-    "algorithm.agent.hidden=[16,16]",
+    "algorithm.agent.network.hidden=[16,16]",
     "logger=[csv]",
     "render.enabled=false",
     "trainer.total_steps=100",

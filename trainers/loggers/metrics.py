@@ -25,7 +25,7 @@ Values = Mapping[str, float]
 """Metric name to value."""
 
 TRAIN = "train"
-"""What the exploring policy meets: ``train/return``, ``.../success``, ``.../reward_terms/<term>``."""
+"""What the exploring policy meets: ``train/return``, ``.../success``, ``.../reward_terms/TERM``."""
 
 LOSS = "loss"
 """What the updates report: ``loss/loss_critic``, ``loss/q_value``, ``loss/target_value``."""

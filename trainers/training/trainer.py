@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from torchrl.checkpoint import GlobalRNGState
+
 from rrl.algorithms import Agent
 
 from ..environment import EnvironmentFactory
@@ -101,6 +103,7 @@ class Trainer:
             "progress": _Counters(self.counters),
         }
         self.checkpoints = Checkpoints(self.run_dir, settings.checkpoint.keep, components)
+        self._generators = GlobalRNGState().state_dict()  # whatever is made before the run begins
 
     @property
     def env_steps(self) -> int:
@@ -133,6 +136,7 @@ class Trainer:
             self.collection.start_episode(seed)
             self.store.keep_whole_rounds(self.settings.steps_per_round)
         self._resumed = True
+        self._generators = GlobalRNGState().state_dict()
         return path
 
     def run(self) -> dict[str, Comparison]:
@@ -150,6 +154,7 @@ class Trainer:
         """
         settings = self.settings
         self.require_new_or_resumed()
+        GlobalRNGState().load_state_dict(self._generators)
         for logger in self.loggers:
             logger.start(self.run_dir, self.config, self.env_steps)
         progress = self.progress.training(settings.total_steps, self.env_steps)

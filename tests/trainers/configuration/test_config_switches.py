@@ -41,7 +41,7 @@ def learned(run_dir, *overrides):
             overrides=[
                 "logger=csv",
                 "env=insertion-sim",
-                "algorithm.agent.hidden=[16]",
+                "algorithm.agent.network.hidden=[16]",
                 *overrides,
             ],
         )

@@ -9,7 +9,7 @@ from functools import partial
 import pytest
 import torch
 
-from rrl.algorithms import TD3
+from rrl.algorithms import TD3, mlp
 from rrl.trainers.settings import CheckpointSettings
 from rrl.trainers.storage import files
 from rrl.trainers.storage.checkpoints import load_agent
@@ -112,7 +112,7 @@ def test_a_log_that_ends_too_early_leads_to_the_checkpoint_before(stopped, make,
     os.truncate(segment, segment.stat().st_size - 5)
     trainer = make()
     assert trainer.resume().name == "checkpoint-000000000100"
-    assert "ends at record 199, the checkpoint needs 200" in caplog.text
+    assert "expected 200 records, got 199" in caplog.text
     trainer.close()
 
 
@@ -156,7 +156,7 @@ def test_a_checkpoint_does_not_grow_with_the_buffer(make, tmp_path):
 
 
 def test_a_buffer_that_wrapped_around_is_restored_as_a_ring(make):
-    capacity = {"buffer_capacity": 60, "num_seeds": 2}
+    capacity = {"buffer_capacity": 60}
     whole = make("whole", total_steps=300, **capacity)
     whole.run()
     first = make("broken", total_steps=200, **capacity)
@@ -164,7 +164,7 @@ def test_a_buffer_that_wrapped_around_is_restored_as_a_ring(make):
     first.close()
     second = make("broken", total_steps=300, **capacity)
     second.resume()
-    assert len(second.replay) == 120
+    assert len(second.replay) == 60
     assert (second.replay.storage[:] == first.replay.storage[:]).all()
     second.run()
     assert (second.replay.storage[:] == whole.replay.storage[:]).all()
@@ -174,7 +174,7 @@ def test_a_buffer_that_wrapped_around_is_restored_as_a_ring(make):
 
 
 def test_the_log_on_disk_is_bounded_by_the_buffer(make, monkeypatch):
-    monkeypatch.setattr("rrl.trainers.transition_log.SEGMENT_BYTES", 1)
+    monkeypatch.setattr("rrl.trainers.storage.transition_log.SEGMENT_BYTES", 1)
     trainer = make(total_steps=400, buffer_capacity=60)
     trainer.store.log._segment_bytes = 40 * 60
     trainer.run()
@@ -229,7 +229,7 @@ def test_what_hardware_made_after_the_checkpoint_is_learned_from_again(make_trai
     }
     resumed = make_trainer(total_steps=200)
     resumed.resume()
-    assert not resumed.experience.continues
+    assert not resumed.collection.can_continue
     assert "40 transitions were stored after the checkpoint" in caplog.text
     assert (resumed.env_steps, resumed.store.pending) == (100, 40)
     while resumed.store.pending:
@@ -244,7 +244,7 @@ def test_what_hardware_made_after_the_checkpoint_is_learned_from_again(make_trai
 
 def test_a_run_is_not_started_over_another(stopped, make):
     trainer = make()
-    with pytest.raises(FileExistsError, match="holds a run already: resume it"):
+    with pytest.raises(FileExistsError, match="expected a directory without a run"):
         trainer.run()
     trainer.close()
 
@@ -300,10 +300,8 @@ def test_loading_executes_nothing(stopped, make, tmp_path, legacy):
 
 
 def test_a_changed_run_is_refused_with_the_difference(stopped, make):
-    trainer = make(batch_size=16, num_seeds=2)
-    with pytest.raises(
-        ValueError, match=r"(?s)trainer.batch_size: 32 -> 16.*trainer.num_seeds: 1 -> 2"
-    ):
+    trainer = make(batch_size=16, seed=2)
+    with pytest.raises(ValueError, match=r"(?s)trainer.batch_size: 32 -> 16.*trainer.seed: 0 -> 2"):
         trainer.resume()
     trainer.close()
 
@@ -328,7 +326,7 @@ def test_more_steps_other_loggers_other_cadence_are_the_same_run(stopped, make):
 @pytest.mark.filterwarnings("ignore")  # torch.compile warns of its own settings
 def test_a_compiled_run_resumes_to_rounding(make):
     """Compiled kernels need not round alike in another process; here they do to a part in 10^5."""
-    compiled = partial(make, agent=partial(TD3, hidden=[16], compiled=True))
+    compiled = partial(make, agent=partial(TD3, network=partial(mlp, hidden=[16]), compiled=True))
     whole = compiled("whole", total_steps=200)
     whole.run()
     compiled_first = compiled("broken", total_steps=140)
@@ -346,7 +344,7 @@ def test_a_compiled_run_resumes_to_rounding(make):
 BASE = {
     "name": "a",
     "trainer": {"total_steps": 100, "num_seeds": 1, "threads": 1},
-    "algorithm": {"agent": {"hidden": [16, 16], "actor_lr": 0.1}},
+    "algorithm": {"agent": {"tau": 0.1, "actor_lr": 0.1}},
     "env": {"base": {"variant": "sim"}, "scenarios": {"one": {}}},
     "logger": {"csv": {"_target_": "x"}},
 }
@@ -355,7 +353,7 @@ BASE = {
 @pytest.mark.parametrize(
     ("path", "value", "line"),
     [
-        ("algorithm.agent.hidden", [32], "algorithm.agent.hidden: [16, 16] -> [32]"),
+        ("algorithm.agent.tau", 0.2, "algorithm.agent.tau: 0.1 -> 0.2"),
         ("env.base.variant", "real", 'env.base.variant: "sim" -> "real"'),
         ("env.base.clearance", 0.1, "env.base.clearance: (absent) -> 0.1"),
         ("trainer.num_seeds", 2, "trainer.num_seeds: 1 -> 2"),

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from rrl.algorithms import TD3
+from rrl.algorithms import TD3, mlp
 from rrl.controllers import ProportionalController
 from rrl.envs import InsertionEnv
 from rrl.trainers.environment import EnvironmentFactory, Input
@@ -125,7 +125,7 @@ def test_the_command_prints_how_to_go_on(tmp_path):
         "logger=csv",
         "env=insertion-sim",
         "algorithm=td3",
-        "algorithm.agent.hidden=[8]",
+        "algorithm.agent.network.hidden=[8]",
         "trainer.evaluation.every=0",
     ]
     with start(f"hydra.run.dir='{run}'", *quick, "trainer.evaluation.episodes=1") as process:
@@ -257,10 +257,10 @@ def test_physics_that_diverges_ends_the_episode_and_is_counted(make_trainer):
         inputs={"blocks": Input(scale=5.0), "goal": Input()},
         max_episode_steps=50,
     )
-    trainer = make_trainer(environment=environment, num_seeds=2, total_steps=100, warmup_steps=40)
+    trainer = make_trainer(environment=environment, num_envs=2, total_steps=100, warmup_steps=40)
 
     def poison():
-        trainer.experience.env.base_env._simulation.state[1, 3] = float("nan")
+        trainer.collection.env.base_env._simulation.state[1, 3] = float("nan")
 
     at_step(trainer, 60, poison)
     trainer.run()
@@ -286,7 +286,7 @@ def test_what_is_not_finite_is_not_stored(make_trainer, factory):
     trainer = make_trainer(
         environment=replace(factory, base=lambda num_envs=1: BadSensor([num_envs]))
     )
-    at_step(trainer, 60, lambda: setattr(trainer.experience.env.base_env, "broken", True))
+    at_step(trainer, 60, lambda: setattr(trainer.collection.env.base_env, "broken", True))
     with pytest.raises(
         FloatingPointError,
         match=r"the environment gave numbers that are not finite in .*observation",
@@ -305,13 +305,15 @@ class Exploding(TD3):
 
 
 def test_a_diverged_learner_stops_with_its_last_good_checkpoint(make_trainer, settings):
-    trainer = make_trainer(agent=partial(Exploding, hidden=[8]), total_steps=300)
+    trainer = make_trainer(
+        agent=partial(Exploding, network=partial(mlp, hidden=[8])), total_steps=300
+    )
     with pytest.raises(
         FloatingPointError, match="the update gave numbers that are not finite in loss_critic"
     ):
         trainer.run()
     trainer.close()
-    resumed = make_trainer(total_steps=300, agent=partial(TD3, hidden=[8]))
+    resumed = make_trainer(total_steps=300, agent=partial(TD3, network=partial(mlp, hidden=[8])))
     assert resumed.resume().name == "checkpoint-000000000100"
     assert all(p.isfinite().all() for p in resumed.agent.parameters())
     resumed.close()
@@ -320,12 +322,12 @@ def test_a_diverged_learner_stops_with_its_last_good_checkpoint(make_trainer, se
 @pytest.mark.slow  # starting worker processes takes its time
 def test_a_dead_collection_worker_ends_the_run_and_it_is_resumed(make_trainer, factory):
     environment = replace(factory, base=partial(PointMass, []), batching="parallel")
-    trainer = make_trainer(environment=environment, num_seeds=2)
+    trainer = make_trainer(environment=environment, num_envs=2)
     at_step(trainer, 120, lambda: os.kill(multiprocessing.active_children()[0].pid, signal.SIGKILL))
     with pytest.raises(RuntimeError, match=r"worker \d dead"):
         trainer.run()
     trainer.close()
-    resumed = make_trainer(environment=environment, num_seeds=2)
+    resumed = make_trainer(environment=environment, num_envs=2)
     resumed.resume()
     assert (resumed.env_steps, resumed.store.pending) == (100, 40)
     resumed.run()

@@ -8,13 +8,13 @@ from functools import partial
 
 import pytest
 import torch
+from torchrl.modules import OrnsteinUhlenbeckProcessModule
 
-from rrl.algorithms import SAC, TD3
-from rrl.exploration import NoExploration, OrnsteinUhlenbeckExploration
+from rrl.algorithms import SAC, mlp, no_exploration
 from rrl.trainers.settings import CheckpointSettings, EvaluationSettings
 from rrl.trainers.storage.checkpoints import newest_whole
 from rrl.trainers.training.interruption import Interrupted
-from toy_envs import RememberingPointMass
+from toy_envs import PointMass, RememberingPointMass
 
 
 class Slow(RememberingPointMass):
@@ -39,9 +39,8 @@ def make(make_trainer, factory):
     def make(run_dir="run", base=Slow, **changes):
         values = {
             "environment": replace(factory, base=base),
-            "exploration": partial(OrnsteinUhlenbeckExploration, sigma=0.2),
+            "exploration": partial(OrnsteinUhlenbeckProcessModule, eps_init=0.5, dt=1.0),
             "overlap": True,
-            "num_seeds": 2,
             "total_steps": 180,
             "warmup_steps": 40,
             "evaluation": EvaluationSettings(every=60, episodes=2, final_episodes=2, slots=2),
@@ -77,7 +76,7 @@ def test_a_run_depends_neither_on_timing_nor_on_where_it_stopped(make):
 
 @pytest.mark.slow
 def test_every_round_acts_with_the_policy_of_the_round_before(make):
-    """Round k acts with the parameters that round k - 2 left: written out as a loop over an experience in turn."""
+    """Round k acts with the parameters that round k - 2 left: written out as a loop in turn."""
     overlapped = run(make("overlapped", agent=None))
     lagging = make("lagging", overlap=False)
     policy, parameters = lagging.agent.policy, list(lagging.agent.policy.parameters())
@@ -86,7 +85,7 @@ def test_every_round_acts_with_the_policy_of_the_round_before(make):
         newest = [p.detach().clone() for p in parameters]
         for p, value in zip(parameters, acting, strict=True):
             p.data.copy_(value)
-        transitions, _ = lagging.experience.collect(lagging.env_steps)
+        transitions, _ = lagging.collection.collect(lagging.env_steps)
         for p, value in zip(parameters, newest, strict=True):
             p.data.copy_(value)
         acting = newest
@@ -101,7 +100,7 @@ def test_every_round_acts_with_the_policy_of_the_round_before(make):
 
 @pytest.mark.slow
 def test_a_stochastic_policys_own_noise_is_part_of_a_checkpoint(make):
-    sac = {"agent": partial(SAC, hidden=[8]), "exploration": NoExploration}
+    sac = {"agent": partial(SAC, network=partial(mlp, hidden=[8])), "exploration": no_exploration}
     whole = run(make("whole", **sac))
     run(make("broken", total_steps=120, **sac))
     second = make("broken", **sac)
@@ -115,7 +114,7 @@ def test_what_the_environment_raises_is_raised_by_the_run(make):
         pytest.raises(ValueError, match="the gripper is open"),
     ):
         trainer.run()
-    assert trainer.store.log.count == 2 * 60
+    assert trainer.store.log.count == 60
 
 
 def test_a_process_that_dies_is_named_and_leaves_a_checkpoint(make):
@@ -124,7 +123,7 @@ def test_a_process_that_dies_is_named_and_leaves_a_checkpoint(make):
 
         def kill_at_80():
             if trainer.env_steps == 80:
-                os.kill(trainer.experience._process.pid, signal.SIGKILL)
+                os.kill(trainer.collection._process.pid, signal.SIGKILL)
             one_round()
 
         trainer._round = kill_at_80
@@ -142,7 +141,7 @@ def test_a_signal_finishes_what_is_under_way_and_saves_it(make):
     def signal_at_80():
         one_round()
         if trainer.env_steps == 80:
-            assert trainer.experience.under_way
+            assert trainer.collection.is_ahead
             os.kill(os.getpid(), signal.SIGTERM)
 
     trainer._round = signal_at_80
@@ -163,7 +162,7 @@ def test_a_run_goes_on_from_a_checkpoint_made_while_the_next_collection_was_unde
         if trainer.env_steps == 100:
             raise OSError("no space left")
         one_round()
-        assert trainer.experience.under_way
+        assert trainer.collection.is_ahead
 
     trainer._round = break_at_100
     with trainer, pytest.raises(OSError, match="no space left"):
@@ -173,22 +172,27 @@ def test_a_run_goes_on_from_a_checkpoint_made_while_the_next_collection_was_unde
     assert same(whole, run(second))
 
 
-@pytest.mark.slow
-@pytest.mark.filterwarnings("default")  # the compiler warns of its own doings
-def test_a_seed_learns_alike_alone_and_in_a_stack_with_the_fast_settings(make):
-    fast = {
-        "agent": partial(TD3, hidden=[32, 32], gamma=0.9, compiled=True),
-        "matmul_precision": "medium",
-    }
-    stack = run(make("stack", base=Slow, seed=3, num_seeds=3, **fast))
-    alone = run(make("alone", base=Slow, seed=4, num_seeds=1, **fast))
-    stacked, single = stack.replay.storage[:].reshape(-1, 3)[:, 1], alone.replay.storage[:]
-    for key in ("observation", "action", ("next", "reward")):
-        assert torch.equal(
-            stacked[key][:60], single[key][:60]
-        )  # two collections before the first update, one beside it
-        torch.testing.assert_close(stacked[key], single[key], rtol=1e-3, atol=1e-4)
-    for mine, other in zip(
-        stack.agent.policy_of(1).parameters(), alone.agent.policy_of(0).parameters(), strict=True
-    ):
-        torch.testing.assert_close(mine, other, rtol=1e-3, atol=1e-4)
+@pytest.mark.parametrize(
+    ("batching", "num_envs", "batch_size"),
+    [("serial", 1, []), ("serial", 2, []), ("parallel", 2, []), ("native", 2, None)],
+)
+def test_every_kind_of_environment_is_collected_from(
+    make_trainer, factory, batching, num_envs, batch_size
+):
+    base = point_mass if batching == "native" else partial(PointMass, batch_size)
+    for overlap in (False, True):
+        trainer = make_trainer(
+            f"{batching}-{num_envs}-{overlap}",
+            environment=replace(factory, base=base, batching=batching),
+            num_envs=num_envs,
+            overlap=overlap,
+            total_steps=120,
+            warmup_steps=60,
+            evaluation=EvaluationSettings(every=0, final_episodes=2),
+            checkpoint=CheckpointSettings(every=60),
+        )
+        assert run(trainer).store.log.count == 120
+
+
+def point_mass(num_envs=1):
+    return PointMass([num_envs])

@@ -31,12 +31,12 @@ def test_what_a_second_process_does_stands_below_the_sum(make_trainer, simulated
         trainer.run()
     rows = trainer.profile.rows()
     names = [name for name, _ in rows]
-    start = names.index("beside")
+    start = names.index("background")
     assert {"  environment", "  policy", "  the rest"} <= set(names[start:])
     assert all(value >= 0 for _, value in rows)
     assert abs(sum(value for _, value in rows[start + 1 :]) - rows[start][1]) < 1e-9
     first = trainer.profile.table().columns[0]._cells
-    assert first.index("sum") == first.index("beside") - 1
+    assert first.index("sum") == first.index("background") - 1
 
 
 def test_without_it_the_parts_of_a_collection_are_not_timed(make_trainer):

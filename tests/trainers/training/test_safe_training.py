@@ -61,7 +61,7 @@ class Watch:
         change = action - (torch.zeros_like(action) if last is None else last)
         now = {
             "outside": torch.maximum(low - position, position - high).max(),
-            "force": out["contact_force"].max() - self.safety["force"]["limit"],
+            "force": out["metrics", "contact_force"].max() - self.safety["force"]["limit"],
             "size": (action.abs() - torch.tensor(self.safety["step"]["size"])).max(),
             "change": change.abs().max() - self.safety["step"]["change"],
         }
@@ -98,14 +98,15 @@ def test_nobody_who_pushes_hard_exceeds_a_limit(variant, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_training_exceeds_no_limit_even_towards_harm(variant, monkeypatch, tmp_path):
-    """Two seeds are rewarded for what the task punishes: distance, force, blocks that tilt and move."""
+    """A policy is rewarded for what the task punishes: distance, force, blocks that tilt and move."""
     config = resolve(
         *VARIANTS[variant],
         "disturbance=noise",
         "algorithm.agent.reward_scale=-10.0",
         "algorithm=td3",
-        "algorithm.agent.hidden=[32,32]",
-        "trainer.num_seeds=2",
+        "algorithm.agent.network.hidden=[32,32]",
+        "trainer.num_envs=2",
+        "trainer.steps_per_collection=25",
         "trainer.total_steps=1200",
         "trainer.warmup_steps=400",
         "trainer.evaluation.every=400",
@@ -117,13 +118,12 @@ def test_training_exceeds_no_limit_even_towards_harm(variant, monkeypatch, tmp_p
     with assembly.trainer(config, tmp_path) as trainer:
         results = trainer.run()
     watch.require_within_limits()
-    assert watch.steps >= 2 * 1200 + 2 * 4 * 10 * 50  # training, and both seeds' evaluations
+    assert watch.steps >= 1200 + 4 * 10 * 50  # training and evaluations
     first = next(iter(results))
-    for comparison in results[first]:
-        assert (
-            comparison.residual.returns.mean() < comparison.controller.returns.mean()
-        )  # it did learn harm
-        assert comparison.summary()["safety_step"] > 0
+    comparison = results[first]
+    # It did learn harm.
+    assert comparison.residual.returns.mean() < comparison.controller.returns.mean()
+    assert comparison.summary()["safety_step"] > 0
     with (tmp_path / "metrics.csv").open() as file:
         logged = {row["metric"] for row in csv.DictReader(file)}
     assert {"safety/workspace", "safety/force", "safety/step"} <= logged

@@ -1,4 +1,4 @@
-"""Switches of the trainer: n-step returns, the ramp of the residual's share, what the policy reads."""
+"""Switches of the trainer: n-step returns, annealed exploration, what the policy reads."""
 
 from dataclasses import replace
 from functools import partial
@@ -6,56 +6,46 @@ from functools import partial
 import pytest
 import torch
 from pydantic import ValidationError
+from torchrl.modules import AdditiveGaussianModule
 
-from rrl.algorithms import SAC
+from rrl.algorithms import SAC, mlp, no_exploration
 from rrl.controllers import ProportionalController
 from rrl.envs import InsertionEnv
-from rrl.exploration import GaussianExploration, NoExploration
 from rrl.n_step import STEPS
 from rrl.trainers import CheckpointSettings, EnvironmentFactory, EvaluationSettings, Input
-from rrl.transforms import StepLimit
-
-
-def test_the_ramp_leads_from_the_controller_to_the_whole_residual(make_trainer):
-    trainer = make_trainer(total_steps=100, warmup_steps=40, residual_ramp_steps=80)
-    largest = []
-    for _ in range(5):
-        data = trainer.experience.rollout(trainer.env_steps)
-        largest.append(float(data["action"].abs().max()))
-        trainer.counters["env_steps"] += trainer.settings.steps_per_round
-    trainer.close()
-    assert largest[0] == 0.0
-    # noise of standard deviation 0.3 on an untrained policy, times 0, 1/4, 1/2, 3/4, 1
-    assert 0.0 < largest[1] < largest[4]
-    assert trainer.experience.ramp.share == 1.0
+from rrl.transforms import ControlNoise, StepLimit
 
 
 def test_exploration_decays_over_the_environment_steps_of_a_seed_and_resumes_where_it_was(
     make_trainer,
 ):
-    decaying = partial(GaussianExploration, sigma=0.4, sigma_end=0.1, decay_steps=150)
-    first = make_trainer(exploration=decaying, total_steps=100, warmup_steps=40, num_seeds=2)
+    decaying = partial(
+        AdditiveGaussianModule, sigma_init=0.4, sigma_end=0.1, annealing_num_steps=150
+    )
+    first = make_trainer(exploration=decaying, total_steps=100, warmup_steps=40)
     first.run()
     first.close()
-    assert first.experience.exploration.sigma == pytest.approx(0.2)
-    second = make_trainer(exploration=decaying, total_steps=200, warmup_steps=40, num_seeds=2)
+    assert float(first.collection.exploration.sigma) == pytest.approx(0.2, rel=1e-4)
+    second = make_trainer(exploration=decaying, total_steps=200, warmup_steps=40)
     second.resume()
-    assert second.experience.exploration.sigma == first.experience.exploration.sigma
+    assert float(second.collection.exploration.sigma) == float(first.collection.exploration.sigma)
     second.run()
     second.close()
-    assert second.experience.exploration.sigma == pytest.approx(0.1)
+    assert float(second.collection.exploration.sigma) == pytest.approx(0.1, rel=1e-4)
 
 
-def test_the_stored_action_is_the_one_that_acted(make_trainer):
-    trainer = make_trainer(total_steps=100, warmup_steps=40, residual_ramp_steps=80)
-    trainer.counters["env_steps"] = 40
-    data = trainer.experience.rollout(trainer.env_steps)
-    trainer.close()
+def test_the_stored_action_is_the_one_that_acted(make_trainer, factory):
+    trainer = make_trainer(
+        environment=replace(factory, disturbances=[ControlNoise]), total_steps=200
+    )
+    data = trainer.collection.rollout(0)
     executed = (data["base_action"] + data["action"]).clamp(-1.0, 1.0)
-    assert (
-        data["next", "executed_action"] - executed
-    ).abs().max() < 0.5  # ControlNoise of 0.05 lies between
-    assert trainer.store.interleave(data)["action"].abs().max() == data["action"].abs().max()
+    torch.testing.assert_close(data["next", "executed_action"], executed)
+    transitions, _ = trainer.collection.collect(20)
+    trainer.store.extend(transitions)
+    assert torch.equal(trainer.replay.storage[:]["action"], transitions["action"][0])
+    assert transitions["action"].abs().max() > 0
+    trainer.close()
 
 
 def test_the_policy_reads_the_controllers_action_and_its_own_last_ones(make_trainer, factory):
@@ -63,9 +53,10 @@ def test_the_policy_reads_the_controllers_action_and_its_own_last_ones(make_trai
     trainer = make_trainer(
         environment=replace(factory, inputs=inputs, action_history=2), total_steps=200
     )
-    data = trainer.experience.rollout(trainer.env_steps)  # [1, T]
+    data = trainer.collection.rollout(trainer.env_steps)  # [1, T]
     said = data["action"][0]
-    goal, base_action, older, last = data["observation"][0].split(2, -1)
+    features = trainer.agent.encoder(*(data[key][0] for key in inputs))
+    goal, base_action, older, last = features.split(2, -1)
     assert torch.equal(goal, data["goal"][0])
     assert torch.equal(base_action, data["base_action"][0])
     assert torch.equal(last[1:], 2.0 * said[:-1])
@@ -77,10 +68,10 @@ def test_the_policy_reads_the_controllers_action_and_its_own_last_ones(make_trai
 
 
 def test_n_step_transitions_are_stored_and_learned_from(make_trainer):
-    trainer = make_trainer(n_step=3, num_seeds=2)
+    trainer = make_trainer(n_step=3, num_envs=2)
     trainer.run()
     trainer.close()
-    steps = trainer.replay.storage[:][STEPS].reshape(-1, 20, 2)  # rounds, time, seeds
+    steps = trainer.replay.storage[:][STEPS].reshape(-1, 10, 2)  # rounds, time, environments
     assert (steps[:, :-2] == 3).all()
     assert (steps[:, -2] == 2).all()
     assert (steps[:, -1] == 1).all()
@@ -103,8 +94,8 @@ def test_a_stochastic_policy_resumes_as_if_never_stopped(make_trainer):
     make = partial(
         make_trainer,
         environment=environment,
-        agent=partial(SAC, hidden=[16, 16]),
-        exploration=NoExploration,
+        agent=partial(SAC, network=partial(mlp, hidden=[16, 16])),
+        exploration=no_exploration,
         n_step=2,
         warmup_steps=40,
         total_steps=120,

@@ -5,6 +5,7 @@ import torch
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
+from rrl.algorithms import Concatenate
 from rrl.algorithms.symmetric_actor import SymmetricActor
 from rrl.slot_random import seed_env
 from rrl.trainers.configuration import build as assembly
@@ -22,7 +23,7 @@ def composed(*overrides):
 
 @pytest.fixture(scope="module", autouse=True)
 def plain():
-    from rrl.trainers.cli.main import plain_name
+    from rrl.trainers.cli.compose import plain_name
 
     OmegaConf.register_new_resolver("plain", plain_name, replace=True)
 
@@ -30,12 +31,14 @@ def plain():
 def observations(factory, yaw, actions):
     """What the policy reads in one episode without randomness, ``[T, n]``."""
     env = factory.with_overrides(yaw_choices=[yaw], start_range=[0.0, 0.0, 0.0]).make()
+    inputs = factory.read_inputs(env)
+    encoder = Concatenate(inputs)
     seed_env(env, 0)
     td, rows = env.reset(), []
     for action in actions:
         td["action"] = action
         td = env.step(td)["next"]
-        rows.append(td["observation"][0])
+        rows.append(encoder(*(td[key][0] for key in inputs)))
     env.close()
     return torch.stack(rows)
 
@@ -75,7 +78,5 @@ def test_the_switch_decides_and_an_environment_without_mirrors_has_none():
     for overrides, uses in (([], True), ([off], False), (["env.symmetries=null"], False)):
         config = composed(*overrides)
         assert not assembly.checks.problems(config)
-        agent = assembly.agent(config)(
-            input_sizes={"observation": 26}, action_size=3, num_seeds=1, seed=0
-        )
-        assert isinstance(agent.policy.module, SymmetricActor) is uses
+        agent = assembly.agent(config)(inputs={"observation": 26}, action_size=3)
+        assert isinstance(agent.policy.module.network, SymmetricActor) is uses

@@ -7,7 +7,7 @@ import sys
 import pytest
 import torch
 
-from rrl.trainers.training.torch_setup import configure_process
+from rrl.trainers.training.torch_setup import configure_torch
 
 
 @pytest.fixture(autouse=True)
@@ -19,35 +19,24 @@ def _restore():
 
 def test_bfloat16_products_without_amx_are_named(monkeypatch, settings):
     monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda: False)
-    with pytest.warns(
-        UserWarning, match="trainer.matmul_precision=medium: this processor has no AMX"
-    ):
-        configure_process(settings(matmul_precision="medium"))
+    with pytest.warns(UserWarning, match="matmul_precision: this processor has no AMX"):
+        configure_torch(settings(matmul_precision="medium"))
     assert torch.get_float32_matmul_precision() == "highest"
 
 
 def test_nothing_is_said_where_nothing_is_lacking(monkeypatch, settings, recwarn):
-    configure_process(settings())
+    configure_torch(settings())
     monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda: True)
-    configure_process(settings(matmul_precision="medium"))
+    configure_torch(settings(matmul_precision="medium"))
     assert torch.get_float32_matmul_precision() == "medium"
     assert not recwarn.list
 
 
-@pytest.mark.parametrize(
-    ("variable", "changes", "expected"),
-    [
-        ("8", {}, 2),
-        ("1", {}, 1),
-        ("8", {"overlap": True}, 1),
-        ("1", {"threads": 3}, 3),
-        ("8", {"overlap": True, "threads": 2}, 2),
-    ],
-)
-def test_threads_are_two_at_most_unless_told(monkeypatch, settings, variable, changes, expected):
-    monkeypatch.setenv("OMP_NUM_THREADS", variable)
-    configure_process(settings(**changes))
-    assert torch.get_num_threads() == expected
+@pytest.mark.parametrize("threads", [1, 3])
+def test_threads_are_one_unless_told(monkeypatch, settings, threads):
+    monkeypatch.setenv("OMP_NUM_THREADS", "8")
+    configure_torch(settings(**({} if threads == 1 else {"threads": threads})))
+    assert torch.get_num_threads() == threads
 
 
 @pytest.mark.slow
@@ -56,7 +45,6 @@ def test_a_run_with_two_threads_can_be_made_again(tmp_path):
     logs = []
     for name in ("first", "second"):
         arguments = [
-            "trainer.num_seeds=3",
             "trainer.total_steps=450",
             "trainer.threads=2",
             "logger=[csv]",
