@@ -203,7 +203,7 @@ def main() -> int:
     import torch.utils.tensorboard  # noqa: F401 - what the children need is imported once, here
 
     import rrl.envs
-    import rrl.trainers.cli.commands  # noqa: F401
+    import rrl.trainers.cli.train  # noqa: F401
 
     with contextlib.ExitStack() as stack:
         out = arguments.out or Path(stack.enter_context(tempfile.TemporaryDirectory()))

@@ -4,7 +4,6 @@ from functools import partial
 
 import torch
 from point import Point
-from tensordict.nn import TensorDictSequential
 
 from rrl.controllers import PolicyController, ZeroController
 from rrl.trainers import EnvironmentFactory, Trainer, TrainerSettings
@@ -16,9 +15,7 @@ def main(run_dir="outputs/frozen_policy", **settings):
     alone = point(controller=partial(ZeroController, action_size=2))
     with Trainer(TrainerSettings(**settings), alone, run_dir=f"{run_dir}/alone") as trainer:
         trainer.run()
-    policy = TensorDictSequential(
-        alone.reader(), trainer.agent.policy_of(0)
-    )  # reads position and goal
+    policy = trainer.agent.policy  # reads position and goal
     torch.save(policy.state_dict(), f"{run_dir}/policy.pt")
 
     environment = point(
@@ -27,7 +24,7 @@ def main(run_dir="outputs/frozen_policy", **settings):
     with Trainer(
         TrainerSettings(**settings), environment, run_dir=f"{run_dir}/residual"
     ) as trainer:
-        return trainer.run()["training"][0].summary()
+        return trainer.run()["training"].summary()
 
 
 if __name__ == "__main__":

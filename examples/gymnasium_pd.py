@@ -30,7 +30,7 @@ def main(run_dir="outputs/gymnasium_pd", **settings):
         batching="serial",
     )
     with Trainer(TrainerSettings(**settings), environment, run_dir=run_dir) as trainer:
-        return trainer.run()["training"][0].summary()
+        return trainer.run()["training"].summary()
 
 
 if __name__ == "__main__":

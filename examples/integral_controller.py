@@ -30,9 +30,9 @@ def main(run_dir="outputs/integral_controller", **settings):
         Point, partial(Integral, keys), [*keys, "base_action"], batching="serial"
     )
     with Trainer(
-        TrainerSettings(envs_per_seed=2, **settings), environment, run_dir=run_dir
+        TrainerSettings(num_envs=2, **settings), environment, run_dir=run_dir
     ) as trainer:
-        return trainer.run()["training"][0].summary()
+        return trainer.run()["training"].summary()
 
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ def main(run_dir="outputs/targets_and_deltas", **settings):
         with Trainer(
             TrainerSettings(**settings), environment, run_dir=f"{run_dir}/{name}"
         ) as trainer:
-            results[name] = trainer.run()["training"][0].summary()
+            results[name] = trainer.run()["training"].summary()
     return results
 
 

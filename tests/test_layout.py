@@ -13,7 +13,7 @@ FORBIDDEN = {
     "trainers": {"rrl.envs", "mujoco", "dm_control"},
     "configs": {"rrl", "torch"},
 }
-HYDRA_ONLY_IN = {"cli.py"}
+HYDRA_ONLY_IN = {"compose.py"}
 
 
 def imports(path: Path) -> set[str]:

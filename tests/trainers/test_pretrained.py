@@ -1,7 +1,5 @@
 """An earlier run as the start of another one: initial weights, a controller, a recorded sequence."""
 
-import json
-
 import pytest
 import torch
 import yaml
@@ -10,14 +8,15 @@ from omegaconf import OmegaConf
 
 from rrl.trainers.configuration import build as assembly
 from rrl.trainers.configuration import checks
+from rrl.trainers.evaluation.episodes import write_results
+from rrl.trainers.loggers import read_metrics
 from rrl.trainers.pretrained import (
-    chosen,
+    best_run,
     policy_controller,
     replay_controller,
     start_from,
     trained_agent,
 )
-from rrl.trainers.report.summary import write_results
 
 SMALL = [
     "algorithm=td3",
@@ -27,7 +26,7 @@ SMALL = [
     "trainer.total_steps=100",
     "trainer.warmup_steps=50",
     "trainer.batch_size=16",
-    "trainer.evaluation={every: 0, episodes: 2, final_episodes: 2, slots: 2}",
+    "trainer.evaluation={every: 50, episodes: 2, final_episodes: 2, slots: 2}",
     "trainer.checkpoint.every=0",
 ]
 
@@ -43,7 +42,7 @@ def train(run_dir, *overrides):
     config = resolve(*overrides)
     with assembly.trainer(config, run_dir) as trainer:
         results = trainer.run()
-    write_results(results, trainer.settings.seeds, run_dir)
+    write_results(results, run_dir / "results.json")
     (run_dir / "config.yaml").write_text(yaml.safe_dump(config))
     return run_dir
 
@@ -51,42 +50,47 @@ def train(run_dir, *overrides):
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory):
     """Two seeds without a controller."""
-    return train(
-        tmp_path_factory.mktemp("alone"), "arm=rl", "env=insertion-sim", "trainer.num_seeds=2"
-    )
+    group = tmp_path_factory.mktemp("alone")
+    for seed in range(2):
+        train(group / f"seed-{seed}", "arm=rl", "env=insertion-sim", f"trainer.seed={seed}")
+    return group
 
 
 @pytest.fixture
 def observed(alone):
-    env = assembly.environment(yaml.safe_load((alone / "config.yaml").read_text())).make(3)
+    env = assembly.environment(config_of(alone / "seed-0")).make(3)
     yield env, env.reset()
     env.close()
 
 
-def test_initial_weights_are_those_of_the_best_seed(alone, observed, tmp_path):
-    config = resolve(
-        "arm=rl", "env=insertion-sim", f"init_from.run='{alone}'", "trainer.num_seeds=3"
-    )
+def config_of(run_dir):
+    return yaml.safe_load((run_dir / "config.yaml").read_text())
+
+
+def test_initial_weights_are_those_of_the_best_seed_during_training(alone, observed, tmp_path):
+    config = resolve("arm=rl", "env=insertion-sim", f"init_from.run='{alone}'")
     assert not checks.problems(config)
-    results = json.loads((alone / "results.json").read_text())
-    scenario = next(iter(results.values()))
-    best = max((0, 1), key=lambda s: (scenario[str(s)]["success"], scenario[str(s)]["return"]))
-    source, _ = trained_agent(yaml.safe_load((alone / "config.yaml").read_text()), alone)
+    scenario = next(iter(config["env"]["scenarios"]))
+    record = {k: read_metrics(alone / f"seed-{k}") for k in range(2)}
+    score = {
+        k: tuple(r[f"eval/{scenario}/{e}"][-1][1] for e in ("success", "return"))
+        for k, r in record.items()
+    }
+    best = alone / f"seed-{max(score, key=score.get)}"
+    assert best_run(alone) == best
+    source, _ = trained_agent(config_of(best), best)
     with assembly.trainer(config, tmp_path) as trainer:
         start_from(trainer.agent, config)
-        for k in range(3):
-            td = observed[1].select("observation")
-            assert torch.equal(
-                trainer.agent.policy_of(k)(td.clone())["action"],
-                source.policy_of(best)(td)["action"],
-            )
+        td = observed[1]
+        expected = source.policy(td.clone())["action"]
+        assert torch.equal(trainer.agent.policy(td.clone())["action"], expected)
 
 
 def test_as_a_controller_it_acts_as_it_did(alone, observed):
-    config = yaml.safe_load((alone / "config.yaml").read_text())
-    source, _ = trained_agent(config, alone)
-    expected = source.policy_of(1)(observed[1].clone())["action"]
-    given = policy_controller(str(alone), seed=1)(observed[1].clone())["base_action"]
+    run = alone / "seed-1"
+    source, _ = trained_agent(config_of(run), run)
+    expected = source.policy(observed[1].clone())["action"]
+    given = policy_controller(str(run))(observed[1].clone())["base_action"]
     torch.testing.assert_close(given, expected, atol=1e-5, rtol=1e-5)
 
 
@@ -95,7 +99,7 @@ def test_the_recorded_sequence_repeats_the_episode_in_its_own_environment(alone)
         "env=insertion-sim", "controller=replay", f"controller.run='{alone}'", "arm=controller"
     )
     assert not checks.problems(config)
-    actions = replay_controller(str(alone), seed=None).actions
+    actions = replay_controller(str(alone)).actions
     assert actions.shape == (50, 3)
     env = assembly.environment(config).make(1)
     td = env.rollout(50, lambda td: td.set("action", torch.zeros(1, 3)))
@@ -111,7 +115,6 @@ def test_the_recorded_sequence_repeats_the_episode_in_its_own_environment(alone)
             "init_from.run: expected the directory of a training run, got 'nowhere'",
         ),
         (["controller=policy"], "run: expected the directory of a training run, got None"),
-        (["init_from.seed=-1"], "init_from.seed"),
     ],
 )
 def test_a_run_that_is_not_there_is_named(overrides, message):

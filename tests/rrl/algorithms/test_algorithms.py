@@ -204,8 +204,8 @@ def test_a_residual_learns_what_the_controller_does_not_know(algorithm, tmp_path
     for seed in range(4):
         settings = TrainerSettings(
             seed=seed,
-            total_steps=1600,
-            warmup_steps=400,
+            total_steps=800,
+            warmup_steps=200,
             steps_per_collection=EPISODE_STEPS,
             batch_size=32,
             evaluation={"every": 0, "final_episodes": 50, "slots": 50},

@@ -11,8 +11,7 @@ OF_ALL = [
     "trainer.updates_per_step=2.0",
     "trainer.n_step=3",
     "trainer.warmup_exploration=false",
-    "trainer.residual_ramp_steps=80",
-    "algorithm.agent.layer_norm=true",
+    "algorithm.agent.network.layer_norm=true",
     "algorithm.agent.critic_burn_in=20",
     "+env.inputs.base_action={}",
     "+env.inputs.previous_action={}",
@@ -20,9 +19,8 @@ OF_ALL = [
 OF_TD3 = [
     "algorithm.agent.target_subset=1",
     "algorithm.agent.num_critics=3",
-    "algorithm.agent.residual_penalty=1.0",
     "algorithm.exploration.sigma_end=0.0",
-    "algorithm.exploration._target_=rrl.exploration.OrnsteinUhlenbeckExploration",
+    "exploration=ornstein-uhlenbeck",
 ]
 SMALL = {
     "total_steps": 60,
@@ -54,12 +52,13 @@ def learned(run_dir, *overrides):
         "inputs": {"end_effector_position": {}, "goal": {}, **own},
         "scenarios": {"drift": {}},
         "sensing": None,
+        "metrics": None,
     }
     config["residual_scale"] = 1.0
     config["trainer"] |= SMALL
     with assembly.trainer(config, run_dir) as trainer:
         trainer.run()
-        return dict(trainer.agent.policy_of(0).named_parameters())
+        return dict(trainer.agent.policy.named_parameters())
 
 
 @pytest.fixture(scope="module")
@@ -85,12 +84,7 @@ def test_switches_at_their_defaults_change_nothing(plain, tmp_path):
     off = [
         "algorithm.agent.num_critics=2",
         "algorithm.agent.target_subset=2",
-        "algorithm.agent.residual_penalty=0.0",
     ]
-    off += [
-        "algorithm.exploration.sigma_end=null",
-        "trainer.n_step=1",
-        "trainer.residual_ramp_steps=0",
-    ]
+    off += ["algorithm.exploration.sigma_end=0.3", "trainer.n_step=1"]
     weights = learned(tmp_path, "algorithm=td3", *off)
     assert all(torch.equal(weights[name], value) for name, value in plain["td3"].items())

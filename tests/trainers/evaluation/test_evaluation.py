@@ -307,7 +307,7 @@ def test_an_unknown_input_names_the_choices(factory):
     wrong = EnvironmentFactory(
         base=factory.base, controller=factory.controller, inputs={"position": Input()}
     )
-    with pytest.raises(KeyError, match=r"'position'.*end_effector_position"):
+    with pytest.raises(KeyError, match=r"end_effector_position.*'position'"):
         wrong.make(1)
 
 

@@ -131,7 +131,7 @@ def test_the_command_takes_runs_or_a_folder_of_runs(runs, tmp_path, capsys, monk
     assert main(["report", "nothing"]) == 2
     assert "expected the directory of a run" in capsys.readouterr().err
     assert main(["report", "to=x.html"]) == 2
-    assert "expected directories of runs" in capsys.readouterr().err
+    assert "expected their directories" in capsys.readouterr().err
 
 
 def test_runs_that_differ_by_the_seed_alone_are_a_group(runs, tmp_path):
