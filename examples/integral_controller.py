@@ -29,9 +29,7 @@ def main(run_dir="outputs/integral_controller", **settings):
     environment = EnvironmentFactory(
         Point, partial(Integral, keys), [*keys, "base_action"], batching="serial"
     )
-    with Trainer(
-        TrainerSettings(num_envs=2, **settings), environment, run_dir=run_dir
-    ) as trainer:
+    with Trainer(TrainerSettings(num_envs=2, **settings), environment, run_dir=run_dir) as trainer:
         return trainer.run()["training"].summary()
 
 

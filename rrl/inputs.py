@@ -37,7 +37,10 @@ class Input:
         Raises:
             ValueError: If it is a list of another length, or not finite.
         """
-        value = torch.as_tensor(getattr(self, field), dtype=torch.float32).reshape(-1)
+        try:
+            value = torch.as_tensor(getattr(self, field), dtype=torch.float32).reshape(-1)
+        except (TypeError, ValueError, RuntimeError):
+            raise ValueError(f"{field}: expected numbers, got {getattr(self, field)!r}") from None
         if value.numel() not in (1, self.size):
             raise ValueError(f"{field}: expected 1 or {self.size} numbers, got {value.numel()}")
         if not value.isfinite().all():

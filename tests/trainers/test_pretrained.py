@@ -114,7 +114,6 @@ def test_the_recorded_sequence_repeats_the_episode_in_its_own_environment(alone)
             ["init_from.run=nowhere"],
             "init_from.run: expected the directory of a training run, got 'nowhere'",
         ),
-        (["controller=policy"], "run: expected the directory of a training run, got None"),
     ],
 )
 def test_a_run_that_is_not_there_is_named(overrides, message):
@@ -128,8 +127,6 @@ def test_a_policy_that_does_not_fit_is_refused(alone, tmp_path):
         pytest.raises(ValueError, match="give both runs the same env"),
     ):
         start_from(trainer.agent, config)
-    with pytest.raises(ValueError, match=r"expected one of the run's seeds \[0, 1\], got 5"):
-        chosen(yaml.safe_load((alone / "config.yaml").read_text()), alone, 5)
 
 
 def test_a_residual_is_no_controller(tmp_path):

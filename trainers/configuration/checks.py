@@ -16,7 +16,7 @@ from rrl.keys import BASE_ACTION, PREVIOUS_ACTION
 
 from ..environment import Batching, EnvironmentFactory, Input, Metric
 from ..settings import Positive, TrainerSettings
-from ..storage.run_files import CONFIG_FILE
+from ..storage.run_files import CONFIG_FILE, seed_directories
 from ..training.learner import build, locate
 
 Config = Mapping[str, Any]
@@ -230,7 +230,9 @@ def _check_render(config: Config) -> Problems:
 
 def _check_init_from(config: Config) -> Problems:
     run = (config.get("init_from") or {}).get("run")
-    if run is not None and not (Path(run).expanduser() / CONFIG_FILE).is_file():
+    path = Path(run or "").expanduser()
+    known = (path / CONFIG_FILE).is_file() or seed_directories(path)
+    if run is not None and not known:
         yield (
             "init_from.run: expected the directory of a training run, "
             f"got {run!r}: no {CONFIG_FILE} there"

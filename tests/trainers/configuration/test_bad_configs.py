@@ -119,7 +119,7 @@ BROKEN = {
     "env.inputs=null": ["env.inputs", "None"],
     "~env.inputs": ["env.inputs: expected a value"],
     "~env.base._target_": [BASE, "expected _target_"],
-    "env.base._target_=nowhere.Env": [BASE, "'nowhere.Env' cannot be imported"],
+    "env.base._target_=nowhere.Env": [BASE, "got 'nowhere.Env'"],
     "controller._target_=rrl.controllers.Nothing": ["controller", "rrl.controllers.Nothing"],
     "controller._target_=rrl.controllers.PolicyController": ["controller", "does not take 'gain'"],
     "algorithm.agent._target_=3": [AGENT, "_target_", "3"],

@@ -225,7 +225,7 @@ def test_a_rollout_gives_the_reset_and_every_step(factory):
     env = factory.make(2)
     steps = list(rollout(env, zero_residual(env), seed=3, max_steps=50, episodes=1))
     assert len(steps) == 21
-    assert "reward" not in steps[0][0].keys()
+    assert "reward" not in steps[0][0]
     assert all(running.tolist() == [True, False] for _, running in steps)
     assert steps[-1][0]["done"].all()
     assert (steps[1][0]["action"] == 0).all()
