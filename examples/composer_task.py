@@ -14,16 +14,14 @@ from rrl.trainers import EnvironmentFactory, Trainer, TrainerSettings
 class TransposedJacobian(Controller):
     """Joint velocities along J^T (target - hand), nine motors of which the wrist and the fingers rest."""
 
-    JACOBIAN = torch.tensor(
-        [[-0.35, 0.0, 0.0], [0.0, 0.0, -0.3], [0.0, -0.4, 0.2]]
-    )  # hand (x, y, z) by joint, m/rad
+    # hand (x, y, z) by joint, m/rad
+    JACOBIAN = torch.tensor([[-0.35, 0.0, 0.0], [0.0, 0.0, -0.3], [0.0, -0.4, 0.2]])
 
     def act(self, tensordict):
         """Return joint velocities in rad/s."""
         target, hand = (self.read(tensordict, key).flatten(-2) for key in KEYS)
-        return torch.nn.functional.pad(
-            (10.0 * (target - hand) @ self.JACOBIAN).clamp(-0.6, 0.6), (0, 6)
-        )
+        velocity = (10.0 * (target - hand) @ self.JACOBIAN).clamp(-0.6, 0.6)
+        return torch.nn.functional.pad(velocity, (0, 6))
 
 
 KEYS = ["target_position", "jaco_arm/jaco_hand/pinch_site_pos"]

@@ -22,9 +22,7 @@ from rrl.trainers import EnvironmentFactory, Trainer, TrainerSettings
 def main(run_dir="outputs/targets_and_deltas", **settings):
     """Train a residual on each kind of action and return the two comparisons with the controller alone."""
     proportional = partial(ProportionalController, position_key="position", gain=5.0)
-    go_to_goal = TensorDictModule(
-        lambda goal: goal.clone(), in_keys=["goal"], out_keys=["base_action"]
-    )
+    go_to_goal = TensorDictModule(lambda goal: goal.clone(), ["goal"], ["base_action"])
     point = partial(EnvironmentFactory, inputs=["position", "goal"], batching="serial")
     environments = {
         "deltas": point(base=Point, controller=proportional, residual_scale=1.0),

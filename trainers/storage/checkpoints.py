@@ -14,6 +14,7 @@ Layout, below the run's directory::
                 agent/               parameters, targets, optimizers, update counter
                 collection/          physics, transforms, exploration, what the policy sees next;
                                      where collection overlaps, the parameters to act with
+                generator/           what sampling and updates draw from
                 progress/            counters
                 replay/              position in transitions/
                 rng/                 global generators of Python, NumPy and torch

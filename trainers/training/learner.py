@@ -1,18 +1,55 @@
-"""The learner that ``rrl train`` uses, for trainers that are given none."""
+"""What a learner draws from, and the one that ``rrl train`` uses by default."""
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
+
+import torch
+from torch import Tensor
 
 from rrl.algorithms import Agent
 
 from ..environment import EnvironmentFactory
 from ..settings import default_config
 
-__all__ = ["build", "default_agent", "default_exploration", "locate"]
+__all__ = ["LearnerGenerator", "build", "default_agent", "default_exploration", "locate"]
+
+
+class LearnerGenerator:
+    """Lets updates draw from numbers of their own, apart from what collecting draws.
+
+    TorchRL's losses and samplers draw from torch's global generator. What is learned from stored
+    transitions must not depend on whether they are collected anew or read from the log.
+
+    Args:
+        seed: Of the numbers.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self._state = torch.Generator().manual_seed(seed).get_state()
+
+    @contextmanager
+    def drawing(self) -> Iterator[None]:
+        """Draw from these numbers while the body runs."""
+        before = torch.get_rng_state()
+        torch.set_rng_state(self._state)
+        try:
+            yield
+        finally:
+            self._state = torch.get_rng_state()
+            torch.set_rng_state(before)
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Return the generator's state."""
+        return {"state": self._state}
+
+    def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
+        """Restore :meth:`state_dict`."""
+        self._state = state["state"]
 
 
 def locate(path: Any) -> Any:

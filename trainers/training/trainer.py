@@ -25,7 +25,7 @@ from ..storage.same_run import require_same_run
 from .background_collection import InBackground
 from .collection import Collection, Exploration, InTurn, Metrics
 from .interruption import Interruption
-from .learner import default_agent, default_exploration
+from .learner import LearnerGenerator, default_agent, default_exploration
 from .profiling import Profile, measured
 from .progress import Progress
 from .torch_setup import configure_torch
@@ -94,12 +94,14 @@ class Trainer:
         )
         self.replay = self.store.replay
         self.evaluator = Evaluator(scenarios or {"training": environment}, settings.evaluation)
+        self.generator = LearnerGenerator(settings.seed)
         self.counters: dict[str, int] = {"env_steps": 0, "restarts": 0}
         self._resumed = False
         components = {
             "agent": self.agent,
             "collection": self.collection,
             "replay": self.store,
+            "generator": self.generator,
             "progress": _Counters(self.counters),
         }
         self.checkpoints = Checkpoints(self.run_dir, settings.checkpoint.keep, components)
@@ -206,7 +208,7 @@ class Trainer:
         checkpoint_due = self._due(self.settings.checkpoint.every)
         self.collection.before_updates(self._next_round(), checkpoint_due)
         if self.env_steps >= self.settings.warmup_steps:
-            with self.stopwatch("update"):
+            with self.stopwatch("update"), self.generator.drawing():
                 values |= self._update()
         values |= measured(self.stopwatch)
         self.profile.add(values, self.settings.steps_per_round)

@@ -98,7 +98,7 @@ def test_weights_and_biases_hold_the_whole_run(trained):
         name.split("/")[0] for row in run.history for name in row if not name.startswith("_")
     }
     assert sections == {
-        "env_steps", "train", "action", "loss", "eval", "final", "time", "media", "results"
+        "env_steps", "train", "action", "loss", "eval", "final", "safety", "time", "media", "results"
     }  # fmt: skip
 
 
