@@ -5,6 +5,7 @@ The controller moves three joints along the Jacobian of one posture; elsewhere i
 
 import torch
 from dm_control import manipulation
+from torch.nn.functional import pad
 
 from rrl.controllers import Controller
 from rrl.envs import ComposerEnv
@@ -20,8 +21,7 @@ class TransposedJacobian(Controller):
     def act(self, tensordict):
         """Return joint velocities in rad/s."""
         target, hand = (self.read(tensordict, key).flatten(-2) for key in KEYS)
-        velocity = (10.0 * (target - hand) @ self.JACOBIAN).clamp(-0.6, 0.6)
-        return torch.nn.functional.pad(velocity, (0, 6))
+        return pad((10.0 * (target - hand) @ self.JACOBIAN).clamp(-0.6, 0.6), (0, 6))
 
 
 KEYS = ["target_position", "jaco_arm/jaco_hand/pinch_site_pos"]

@@ -10,7 +10,20 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rrl.algorithms import DDPG, SAC, TD3, Agent
+    from rrl.algorithms import (
+        DDPG,
+        SAC,
+        TD3,
+        Adam,
+        Agent,
+        AgentSettings,
+        Concatenate,
+        EnsembleSACLoss,
+        EnsembleTD3Loss,
+        TorchOptimizer,
+        mlp,
+        no_exploration,
+    )
     from rrl.controllers import (
         Controller,
         PIDController,
@@ -39,9 +52,14 @@ __all__ = [
     "SAC",
     "TD3",
     "ActionHistory",
+    "Adam",
     "Agent",
+    "AgentSettings",
+    "Concatenate",
     "ControlNoise",
     "Controller",
+    "EnsembleSACLoss",
+    "EnsembleTD3Loss",
     "EnvironmentFactory",
     "FiniteAction",
     "ForceLimit",
@@ -56,10 +74,13 @@ __all__ = [
     "StatefulController",
     "StepLimit",
     "SumController",
+    "TorchOptimizer",
     "Trainer",
     "TrainerSettings",
     "WorkspaceLimit",
     "ZeroController",
+    "mlp",
+    "no_exploration",
 ]
 
 _TRAINERS = ("EnvironmentFactory", "Trainer", "TrainerSettings")

@@ -39,7 +39,6 @@ SETTINGS = {
     "scales": {
         "tiny": {
             "seeds": 2,
-            "stack": 2,
             "overrides": [
                 "trainer.total_steps=200",
                 "trainer.warmup_steps=100",

@@ -179,6 +179,7 @@ class EnvironmentFactory:
 
         Raises:
             KeyError: If ``env`` lacks one of them.
+            ValueError: If a center or scale does not fit its entry.
         """
         spec = env.observation_spec
         keys = list(spec.keys(True, True))
@@ -187,10 +188,17 @@ class EnvironmentFactory:
                 f"inputs: expected entries of the environment, which are {sorted(map(str, keys))}, "
                 f"got {missing[0]!r}"
             )
-        return {
+        inputs = {
             name: replace(entry, shape=tuple(spec[name].shape[env.ndim :]))
             for name, entry in self._inputs().items()
         }
+        for name, entry in inputs.items():
+            for field in ("loc", "scale"):
+                try:
+                    entry.column(field)
+                except ValueError as error:
+                    raise ValueError(f"inputs.{name}.{error}") from error
+        return inputs
 
     def symmetry(self) -> Symmetry | None:
         """Return the symmetry of features and action; None if there are no mirrors.

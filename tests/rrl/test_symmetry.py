@@ -154,7 +154,7 @@ def test_bad_mirrors_are_named(mirrors, message):
 
 def test_a_symmetry_of_another_size_is_named():
     with pytest.raises(
-        ValueError, match="symmetry: expected maps of 5 numbers of observation and 2 of action"
+        ValueError, match="symmetry: expected maps of 5 features and 2 numbers of action"
     ):
         make_agent(symmetry=Symmetry([([-1, 2], [-1, 2])]))
 

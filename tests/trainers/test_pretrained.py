@@ -43,7 +43,7 @@ def train(run_dir, *overrides):
     with assembly.trainer(config, run_dir) as trainer:
         results = trainer.run()
     write_results(results, run_dir / "results.json")
-    (run_dir / "config.yaml").write_text(yaml.safe_dump(config))
+    (run_dir / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
     return run_dir
 
 

@@ -77,13 +77,13 @@ def make_loss(kind, num_critics=2, keys=None, dropout=0.0, estimator=None, **arg
     if keys:
         loss.set_keys(**keys)
     loss.make_value_estimator(estimator or ValueEstimators.TD0, gamma=0.9)
+    SoftUpdate(loss, tau=0.5)  # without one, a loss with targets warns
     targets = [loss.target_qvalue_network_params]
     if issubclass(kind, TD3Loss):
         targets.append(loss.target_actor_network_params)
     for params in targets:
         for value in params.values(True, True):
             value.data.add_(0.1 * torch.randn_like(value))
-    SoftUpdate(loss, tau=0.5)  # without one, a loss with targets warns
     return loss
 
 

@@ -4,10 +4,10 @@ import shutil
 from functools import partial
 
 import pytest
-from rich.console import Console
 
-from experiment_project import ENV, ENVIRONMENT, EXPERIMENT, OURS, SETTINGS, TESTS, write
-from rrl.trainers.cli import main as cli
+from experiment_project import ENV, ENVIRONMENT, EXPERIMENT, SETTINGS, TESTS, write
+from rrl.trainers.cli.compose import compose as compose_config
+from rrl.trainers.console import Output
 from rrl.trainers.experiments.reproduce import reproduce
 from rrl.trainers.experiments.spec import load_experiments
 
@@ -32,7 +32,7 @@ def folders(project):
 
 @pytest.fixture
 def compose(project):
-    return partial(cli._compose, [project / "configs", OURS])
+    return partial(compose_config, folder=project / "configs")
 
 
 @pytest.fixture
@@ -40,9 +40,9 @@ def run(project, folders, compose):
     """``rrl reproduce`` in this process, its runs in processes of their own; returns the report and what was said."""
 
     def call(*names, **changes):
-        console = Console(record=True, width=200, file=(project / "said.txt").open("w"))
-        with console.file:
-            report = reproduce(names, changes, compose, folders, console)
+        with (project / "said.txt").open("w") as file:
+            again = " ".join(["rrl reproduce", *names])
+            report = reproduce(names, changes, compose, folders, Output(file=file), again)
         return report, (project / "said.txt").read_text()
 
     return call

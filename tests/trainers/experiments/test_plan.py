@@ -1,18 +1,15 @@
-"""From YAML to runs: shared by configuration, grouped by what is missing, complete for every paper experiment."""
-
-from functools import partial
+"""From YAML to runs: shared by configuration, one for every seed, complete for every paper experiment."""
 
 import pytest
 import yaml
 
 from experiment_project import EXPERIMENT, OURS, SETTINGS, write
-from rrl.trainers.cli import main as cli
+from rrl.trainers.cli.compose import compose as compose_config
 from rrl.trainers.configuration import build as assembly
 from rrl.trainers.configuration import checks
-from rrl.trainers.experiments.plan import plan_jobs, plan_points, quoted
+from rrl.trainers.evaluation.episodes import write_results
+from rrl.trainers.experiments.plan import plan_jobs, plan_points, run_directory
 from rrl.trainers.experiments.spec import Settings, load_experiments, load_settings
-from rrl.trainers.launch.store import Store
-from rrl.trainers.report.summary import write_results
 
 NAMES = [path.stem for path in sorted((OURS / "experiment").glob("*.yaml"))]
 
@@ -37,38 +34,19 @@ def test_equal_configurations_share_their_runs(points, folders, tmp_path):
         {"title": "t", "paper": "p", "figure": "table", "runs_of": "drift"},
     )
     found = points()
-    jobs = plan_jobs(found, Store(tmp_path / "out"), stack=2, workers=1)
+    jobs = plan_jobs(found, tmp_path / "out")
     assert len(found) == 5
-    assert len(jobs) == 2
+    assert len(jobs) == 2 * 2  # settings, seeds
 
 
-@pytest.mark.parametrize(
-    ("stack", "workers", "expected"),
-    [
-        (5, 1, [(0, 1, 2, 3, 4), (5, 6, 7, 8, 9)]),
-        (10, 1, [tuple(range(10))]),
-        (10, 4, [(0, 1, 2, 3, 4), (5, 6, 7, 8, 9)]),  # two points share four workers
-        (10, 20, [(k,) for k in range(10)]),
-    ],
-)
-def test_seeds_are_stacked_as_it_suits_the_machine(
-    stack, workers, expected, points, folders, tmp_path
-):
-    settings = {**SETTINGS, "scales": {"tiny": {**SETTINGS["scales"]["tiny"], "seeds": 10}}}
-    write(folders[0] / "reproduce.yaml", settings)
-    jobs = plan_jobs(points("drift"), Store(tmp_path / "out"), stack, workers)
-    for key in {job.run.key for job in jobs}:
-        assert [job.run.seeds for job in jobs if job.run.key == key] == expected
-
-
-def test_runs_in_the_store_are_kept_and_only_missing_seeds_are_added(points, folders, tmp_path):
-    store = Store(tmp_path / "out")
-    for job in plan_jobs(points("drift"), store, stack=2, workers=1):
-        store.register(job.run, job.overrides)
+def test_every_seed_is_a_run_and_only_missing_ones_are_added(points, folders, tmp_path):
+    before = {job.path for job in plan_jobs(points("drift"), tmp_path / "out")}
     settings = {**SETTINGS, "scales": {"tiny": {**SETTINGS["scales"]["tiny"], "seeds": 5}}}
     write(folders[0] / "reproduce.yaml", settings)
-    jobs = plan_jobs(points("drift"), store, stack=2, workers=1)
-    assert [job.run.seeds for job in jobs] == [(0, 1), (2, 3), (4,)] * 2
+    jobs = plan_jobs(points("drift"), tmp_path / "out")
+    assert before < {job.path for job in jobs}
+    assert sorted(job.config["trainer"]["seed"] for job in jobs) == sorted([*range(5)] * 2)
+    assert all(job.config["trainer"]["num_seeds"] == 1 for job in jobs)
 
 
 def test_a_change_of_configuration_is_another_run_and_a_change_of_logging_is_not(points, folders):
@@ -94,14 +72,14 @@ def test_what_starts_from_another_run_waits_for_it_and_names_it(points, folders,
         "arms": arms,
     }
     write(folders[0] / "experiment/chain.yaml", {k: v for k, v in content.items() if k != "sweep"})
-    jobs = plan_jobs(points("chain"), Store(tmp_path / "out"), stack=2, workers=9)
-    source = jobs[0].run
-    assert source.seeds == (0, 1)  # whole, whatever the number of workers
-    for job in jobs[1:]:
-        starts = any(
-            f"init_from.run={quoted(source.path)}" == override for override in job.overrides
-        )
-        assert (job.needs == (source,)) == starts == ("from-it" in job.run.name)
+    found = points("chain")
+    jobs = plan_jobs(found, tmp_path / "out")
+    first = next(point for point in found if not point.shown)
+    for job in jobs:
+        seed = job.config["trainer"]["seed"]
+        source = run_directory(first, seed, tmp_path / "out")
+        starts = job.config["init_from"]["run"] == str(source)
+        assert (job.needs == (source,)) == starts == ("from-it" in job.name)
 
 
 @pytest.mark.parametrize(
@@ -111,7 +89,7 @@ def test_what_starts_from_another_run_waits_for_it_and_names_it(points, folders,
         ({"figure": "pie"}, "wrong.figure"),
         ({"seeds": 3}, "wrong.seeds: unknown key"),
         ({"sweep": None}, "needs a sweep"),
-        ({"arms": {"a": ["init_from.run=run:nobody"]}}, "unknown source 'nobody'"),
+        ({"arms": {"a": ["init_from.run=run:nobody"]}}, "expected sources of .*got 'nobody'"),
         (
             {"sweep": {"key": "k", "label": "l", "values": {"other": [1]}}},
             "expected values for 'tiny'",
@@ -150,8 +128,8 @@ def test_an_unknown_experiment_is_answered_with_the_known_ones(folders):
 def source(tmp_path_factory):
     """A short run of the source of sim-to-real, for those that start from it."""
     run_dir = tmp_path_factory.mktemp("source")
-    point = next(p for p in paper_points("quick", ["sim-to-real"]) if p.whole)
-    settings = {"total_steps": 100, "warmup_steps": 50, "num_seeds": 2, "batch_size": 16}
+    point = next(p for p in paper_points("quick", ["sim-to-real"]) if not p.shown)
+    settings = {"total_steps": 100, "warmup_steps": 50, "batch_size": 16}
     evaluation = {"every": 0, "episodes": 1, "final_episodes": 1, "seed": 0, "slots": 1}
     trainer = {**point.config["trainer"], **settings, "evaluation": evaluation}
     agent = {**point.config["algorithm"]["agent"], "compiled": False}
@@ -161,15 +139,14 @@ def source(tmp_path_factory):
         "algorithm": {**point.config["algorithm"], "agent": agent},
     }
     with assembly.trainer(config, run_dir) as made:
-        write_results(made.run(), made.settings.seeds, run_dir)
-    (run_dir / "config.yaml").write_text(yaml.safe_dump(config))
+        write_results(made.run(), run_dir / "results.json")
+    (run_dir / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
     return run_dir
 
 
 def paper_points(scale, names=()):
-    compose = partial(cli._compose, [OURS])
     settings: Settings = load_settings([OURS], {"scale": scale})
-    return plan_points(load_experiments(names, [OURS]), settings, compose)
+    return plan_points(load_experiments(names, [OURS]), settings, compose_config)
 
 
 def test_the_papers_ten_experiments_are_there():
@@ -181,11 +158,9 @@ def test_every_experiment_is_made_of_valid_runs(scale, source):
     arms = {
         (point.experiment, point.arm): point for point in paper_points(scale)
     }  # at the last setting
-    compose = partial(cli._compose, [OURS])
     for point in {point.key: point for point in arms.values()}.values():
         config = point.config
         if point.sources:
-            config = compose(
-                [override.replace("run:sim-policy", quoted(source)) for override in point.overrides]
-            )
+            overrides = [o.replace("run:sim-policy", f"'{source}'") for o in point.overrides]
+            config = compose_config(overrides)
         assert not checks.problems(config), point.name
