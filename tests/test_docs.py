@@ -123,6 +123,10 @@ def check_pip(arguments, *_):
 
 
 def check_python(arguments, *_):
+    if arguments[0] == "-m":
+        module = ROOT / arguments[1].replace(".", "/")
+        assert module.with_suffix(".py").is_file() or (module / "__main__.py").is_file()
+        return
     assert (ROOT / arguments[0]).is_file() or "NAME" in arguments[0]
 
 

@@ -193,9 +193,9 @@ class EnvironmentFactory:
             for name, entry in self._inputs().items()
         }
         for name, entry in inputs.items():
-            for field in ("loc", "scale"):
+            for column in ("loc", "scale"):
                 try:
-                    entry.column(field)
+                    entry.column(column)
                 except ValueError as error:
                     raise ValueError(f"inputs.{name}.{error}") from error
         return inputs

@@ -8,7 +8,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
-from torchrl.objectives import LossModule, SACLoss, TD3Loss
+from torchrl.objectives import SACLoss, TD3Loss
 from torchrl.objectives.sac import compute_rsample_log_prob
 from torchrl.objectives.utils import distance_loss
 
@@ -19,15 +19,26 @@ PolicyValue = Literal["mean", "first", "least"]
 """What the policy climbs: the mean of all critics (REDQ), the first (TD3), the least (SAC)."""
 
 
-class _Ensemble(LossModule):
+class _Ensemble:
     """``N`` critics in the manner of REDQ (Chen et al., 2021).
 
     All critics learn the same target, the least value among ``target_subset`` of the target
     critics, drawn anew for every update. Everything else, keys and output included, is TorchRL's.
+    It is no ``LossModule`` itself, whose metaclass would give it a ``forward``.
     """
 
     policy_value: PolicyValue
     target_subset: int
+    num_qvalue_nets: int
+    reduction: str
+    loss_function: str
+    vmap_randomness: Any
+    use_prioritized_weights: Any
+    tensor_keys: Any
+    value_estimator: Any
+    qvalue_network: Any
+    qvalue_network_params: Any
+    target_qvalue_network_params: Any
 
     def _configure(self, target_subset: int, policy_value: PolicyValue) -> None:
         if not 1 <= target_subset <= self.num_qvalue_nets:

@@ -21,7 +21,7 @@ import json
 import re
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +50,7 @@ class Point:
         seeds: Seeds that are asked for.
         sources: Points that must be trained first, by the name that the overrides use.
         shown: Whether it is an arm, and not a run that arms start from.
+        home: Name of the first point with this key, which the runs' directory has.
     """
 
     experiment: str
@@ -61,6 +62,7 @@ class Point:
     seeds: tuple[int, ...]
     sources: Mapping[str, Point] = field(default_factory=dict, compare=False)
     shown: bool = True
+    home: str = ""
 
     @property
     def name(self) -> str:
@@ -78,7 +80,16 @@ def plan_points(
     Raises:
         ValueError: If an experiment has no values at this scale or an unknown source.
     """
-    return [point for e in experiments for point in _points_of(e, settings, compose)]
+    found = [point for e in experiments for point in _points_of(e, settings, compose)]
+    homes: dict[str, str] = {}
+    for point in found:
+        homes.setdefault(point.key, point.name)
+
+    def settled(point: Point) -> Point:
+        sources = {name: settled(source) for name, source in point.sources.items()}
+        return replace(point, home=homes[point.key], sources=sources)
+
+    return [settled(point) for point in found]
 
 
 def plan_jobs(points: Sequence[Point], out: Path) -> list[Job]:
@@ -103,7 +114,7 @@ def plan_jobs(points: Sequence[Point], out: Path) -> list[Job]:
 def run_directory(point: Point, seed: int, out: Path) -> Path:
     """Return where a run of a point is, or will be, in the store ``out``."""
     present = sorted((out / "runs").glob(f"*-{point.key}"))
-    return (present[0] if present else out / "runs" / point.name) / f"seed-{seed}"
+    return (present[0] if present else out / "runs" / (point.home or point.name)) / f"seed-{seed}"
 
 
 def command(point: Point, seed: int, out: Path) -> str:

@@ -11,12 +11,12 @@ from browser import needs_chromium, opened
 from rrl.trainers.experiments.claims import CLAIMS, criterion, judge
 from rrl.trainers.experiments.figures import draw
 from rrl.trainers.experiments.outcomes import Finding, Outcome
-from rrl.trainers.experiments.plan import Job, Point
+from rrl.trainers.experiments.plan import Point
 from rrl.trainers.experiments.report import write_report
 from rrl.trainers.experiments.spec import Experiment, Settings
 from rrl.trainers.experiments.tables import final_rows, success_rows
+from rrl.trainers.launch.job import Job
 from rrl.trainers.launch.pool import Ending
-from rrl.trainers.launch.store import StoredRun
 from rrl.trainers.report.runs import Run
 
 SEEDS = (0, 1, 2)
@@ -30,50 +30,41 @@ def outcome(tmp_path):
     def make(
         arm="residual RL", value=None, curves=None, scenario="misaligned", scenarios=None, **final
     ):
+        scenarios = scenarios or {scenario: {}}
+        runs = tuple(write(arm, curves, scenarios, final, seed) for seed in SEEDS)
+        point = Point("some", arm, value, "key", (), runs[0].config, SEEDS)
+        return Outcome(point, runs)
+
+    def write(arm, curves, scenarios, final, seed):
         path = tmp_path / f"{len(list(tmp_path.iterdir()))}"
         path.mkdir()
-        numbers = {
-            "success": 1.0,
-            "return": -2.0,
-            "controller_success": 0.1,
-            "controller_return": -4.0,
-            **final,
-        }
+        numbers = {"success": 1.0, "return": -2.0, "controller_success": 0.1}
+        numbers |= {"controller_return": -4.0, **final}
         numbers = {"return_gain": numbers["return"] - numbers["controller_return"], **numbers}
         numbers = {"rescues": 5, "regressions": 0, "mcnemar_p": 0.06, **numbers}
+        numbers["return"] += 0.001 * seed
         results = {
-            name: {
-                str(seed): {k: v + 0.001 * seed * (k == "return") for k, v in entry.items()}
-                for seed in SEEDS
-            }
-            for name, entry in (scenarios or {scenario: {}}).items()
-            for entry in [{**numbers, **entry}]
+            name: {"summary": {**numbers, **entry}, "episodes": {"return": [0.0] * EPISODES}}
+            for name, entry in scenarios.items()
         }
         (path / "results.json").write_text(json.dumps(results))
         curves = {"success": [0, 1], "return": [-4, -2], **(curves or {})}
-        curves |= {
-            f"controller_{name}": [values[0]] * len(values) for name, values in curves.items()
-        }
+        curves |= {f"controller_{name}": [v[0]] * len(v) for name, v in curves.items()}
         with (path / "metrics.csv").open("w") as file:
             rows = csv.writer(file)
-            rows.writerow(["env_steps", "seed", "metric", "value"])
+            rows.writerow(["env_steps", "metric", "value"])
+            followed = f"eval/{next(iter(results))}"
             for name, values in curves.items():
-                for i, v in enumerate(values):
-                    rows.writerows(
-                        [i * 500, seed, f"eval/{next(iter(results))}/{name}", v + 0.01 * seed]
-                        for seed in SEEDS
-                    )
-        trainer = {
-            "seed": 0,
-            "num_seeds": 3,
-            "total_steps": 500,
-            "evaluation": {"final_episodes": EPISODES},
-        }
+                spread = 0.0 if name.endswith("success") else 0.01 * seed
+                rows.writerows(
+                    [i * 500, f"{followed}/{name}", v + spread] for i, v in enumerate(values)
+                )
+        trainer = {"seed": seed, "num_seeds": 1, "total_steps": 500}
+        trainer["evaluation"] = {"episodes": EPISODES, "final_episodes": EPISODES}
         config = {"trainer": trainer, "env": {"scenarios": {name: {} for name in results}}}
         config["controller"] = {"_target_": "rrl.controllers.ProportionalController"}
         (path / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
-        point = Point("some", arm, value, "key", (), config, SEEDS)
-        return Outcome(point, (Run(path, path.name),))
+        return Run(path, path.name)
 
     return make
 
@@ -116,10 +107,9 @@ def test_the_papers_table(outcome):
     }
     found = outcome(scenarios=scenarios)
     assert verdict("6a", found).holds
-    assert (
-        "residual 45 of 60 [62%, 85%], 15.0 of 20; controller 2 of 20 [1%, 32%], 2.0 of 20"
-        in verdict("6a", found).numbers
-    )
+    numbers = verdict("6a", found).numbers
+    assert "residual 15/15/15 of 20 [" in numbers
+    assert "15.0 of 20; controller 2 of 20 [" in numbers
     assert verdict("6b", found).holds
     scenarios["misaligned"]["success"] = 0.7
     scenarios["aligned"]["success"] = 0.9
@@ -150,7 +140,7 @@ def test_transfer_is_quick_if_success_stays_from_before_a_thousand_steps_on(outc
         "9", outcome(arm, curves={"success": [0.95, 0.3, 0.95]})
     ).holds  # it was lost again
     assert (
-        "RL from scratch: not reached (from 1%)"
+        "RL from scratch: not reached (from 0%)"
         in verdict("9", quick, outcome("RL from scratch", curves={"success": [0, 0]})).numbers
     )
 
@@ -181,7 +171,9 @@ def test_figures_and_tables_of_a_store(outcome, figure, tmp_path):
     assert [len(row) for row in rows] == [len(header)] * 2
     assert rows[1][:3] == ["residual RL", "1", "3"]
     header, rows = success_rows(experiment, finding)
-    assert rows[1][2:6] == ["1", "30 of 60", "[37%, 63%]", "10.0"]
+    assert rows[1][2] == "1"
+    assert rows[1][3].startswith("10/10/10 of 20 [")
+    assert rows[1][4] == "10.0"
 
 
 @needs_chromium
@@ -199,14 +191,11 @@ def test_the_report_opens_offline_and_without_errors(outcome, tmp_path):
         ),
     ]
     made = outcome(scenarios={"misaligned": {}, "aligned": {"success": 0.5}})
-    (made.runs[0].path / "run.json").write_text(
-        json.dumps({"overrides": ["env=mars", "a.b={c: 1}"]})
-    )
     findings = {e.name: Finding(e.name, (made,)) for e in experiments}
     figures = {e.name: draw(e, findings[e.name], tmp_path / "figures") for e in experiments}
-    scale = {"quick": {"seeds": 3, "stack": 3}}
+    scale = {"quick": {"seeds": 3}}
     settings = Settings(scale="quick", launcher="local", workers=1, out="out", scales=scale)
-    failed = Job(StoredRun(tmp_path / "lost/seed-0", "key", (0,)), (), 100)
+    failed = Job(tmp_path / "lost/seed-0", {"trainer": {"total_steps": 100}})
     ending = Ending(failed=[failed])
     path = write_report(
         experiments, findings, figures, judge(findings), None, settings, ending, tmp_path / "r.html"
@@ -216,30 +205,17 @@ def test_the_report_opens_offline_and_without_errors(outcome, tmp_path):
         for expected in (
             "6b. Aligned",
             "does not hold",
-            "30 of 60",
+            "10/10/10 of 20",
             "lost/seed-0",
-            "rrl train env=mars 'a.b={c: 1}'",
+            "rrl train trainer.seed=0",
             "torch",
         ):
             assert expected in page.content() or expected in text, expected
         assert page.evaluate("[...document.images].every(image => image.naturalWidth > 0)")
 
 
-def test_an_outcome_puts_the_groups_of_seeds_together(outcome):
-    one, other = outcome(), outcome()
-    results = json.loads((other.runs[0].path / "results.json").read_text())
-    moved = {
-        name: {str(int(s) + 3): v for s, v in entry.items()} for name, entry in results.items()
-    }
-    (other.runs[0].path / "results.json").write_text(json.dumps(moved))
-    config = {**other.point.config, "trainer": {**other.point.config["trainer"], "seed": 3}}
-    (other.runs[0].path / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
-    text = (other.runs[0].path / "metrics.csv").read_text()
-    for seed in (2, 1, 0):
-        text = text.replace(f",{seed},eval", f",{seed + 3},eval")
-    (other.runs[0].path / "metrics.csv").write_text(text)
-    point = Point("some", "residual RL", None, "key", (), config, tuple(range(5)))
-    together = Outcome(point, (one.runs[0], Run(other.runs[0].path, "other")))
-    assert together.seeds == [0, 1, 2, 3, 4]  # the sixth was not asked for
-    np.testing.assert_allclose(together.final("return"), [-2.0, -1.999, -1.998, -2.0, -1.999])
-    assert together.curve("success").values.shape == (5, 2)
+def test_an_outcome_puts_the_seeds_together(outcome):
+    together = outcome()
+    assert [run.seed for run in together.runs] == [0, 1, 2]
+    np.testing.assert_allclose(together.final("return"), [-2.0, -1.999, -1.998])
+    assert together.curve("success").values.shape == (3, 2)

@@ -106,7 +106,7 @@ def test_a_wrong_experiment_is_explained(change, message, points, folders):
     ("changes", "message"),
     [
         ({"scale": "huge"}, "expected one of tiny, got 'huge'"),
-        ({"sclae": "tiny"}, "unknown setting sclae; expected scale, launcher, workers, out"),
+        ({"sclae": "tiny"}, "expected one of scale, launcher, workers, out, got sclae"),
         ({"workers": 0}, "workers"),
         ({"launcher": "slurm"}, "launcher"),
     ],
@@ -117,7 +117,7 @@ def test_a_wrong_setting_is_explained(changes, message, folders):
 
 
 def test_an_unknown_experiment_is_answered_with_the_known_ones(folders):
-    with pytest.raises(ValueError, match="unknown experiment drfit; choose from drift"):
+    with pytest.raises(ValueError, match="experiment: expected one of drift, got drfit"):
         load_experiments(["drfit"], folders)
 
 

@@ -7,7 +7,6 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import pytest
 
@@ -15,8 +14,8 @@ from experiment_project import EXPERIMENT, SETTINGS, write
 from rrl.trainers.cli import main as cli
 from rrl.trainers.console import Output
 from rrl.trainers.experiments.reproduce import reproduce
-from rrl.trainers.launch import pool
 from rrl.trainers.launch.display import Display
+from rrl.trainers.launch.job import Job
 from rrl.trainers.loggers import read_metrics
 from rrl.trainers.training.interruption import Interrupted
 
@@ -175,32 +174,30 @@ def test_ray_runs_them_and_saves_them_on_ctrl_c(project):
 
 def test_the_command_line_explains_what_it_does_not_know(project, capsys):
     assert cli.main(["reproduce", "drfit"]) == 2
-    assert "unknown experiment drfit; choose from" in capsys.readouterr().err
+    assert "experiment: expected one of" in capsys.readouterr().err
 
 
-def test_a_terminal_shows_runs_done_success_and_steps(tmp_path):
-    console = Console(file=io.StringIO(), force_terminal=True, width=160)
-    jobs = [
-        Job(StoredRun(tmp_path / name / "seeds-0-1", name, (0, 1)), (), 1000)
-        for name in ("first", "second")
-    ]
-    second = jobs[1].run.path
-    second.mkdir(parents=True)
-    rows = [
-        "env_steps,seed,metric,value",
-        "250,0,eval/drift/success,0.5",
-        "250,1,eval/drift/success,1.0",
-        "300,0,loss/q,1",
-    ]
-    (second / "metrics.csv").write_text("\n".join(rows))
+def a_job(path):
+    return Job(path, {"trainer": {"total_steps": 1000}})
+
+
+def test_a_terminal_shows_runs_done_success_and_steps(tmp_path, monkeypatch):
+    out = io.StringIO()
+    monkeypatch.setattr(out, "isatty", lambda: True)
+    console = Output(file=out)
+    console.width = 160
+    jobs = [a_job(tmp_path / name / "seed-0") for name in ("first", "second")]
+    jobs[1].path.mkdir(parents=True)
+    rows = ["env_steps,metric,value", "250,eval/drift/success,0.75", "300,loss/q,1"]
+    (jobs[1].path / "metrics.csv").write_text("\n".join(rows) + "\n")
     display = Display(console)
-    with display.showing(jobs, done=jobs[:1]):
+    with display.showing(jobs, done=jobs[:1], slots=2):
         display.started(jobs[1])
         display.refresh()
-    said = console.file.getvalue()
+    said = out.getvalue()
     assert "1 of 2 runs" in said
     assert "300 of 1000 steps, success 75%" in said
 
 
 def test_the_end_of_a_log_that_is_not_there_is_said(tmp_path):
-    assert "No such file" in pool.tail(StoredRun(Path(tmp_path / "none"), "key", (0,)))
+    assert "No such file" in a_job(tmp_path / "none").log_tail()
