@@ -51,7 +51,9 @@ def build(out: Path) -> None:
             "ignore", message="The module specification .* has already been added"
         )
         # what our classes inherit: TorchRL imports these names for its type checker alone
-        warnings.filterwarnings("ignore", message=".*(BaseCollector|LLMCollector)")
+        warnings.filterwarnings(
+            "ignore", message=".*(BaseCollector|LLMCollector|_AcceptedKeys|PydanticDataclass)"
+        )
         pdoc.render.configure(docformat="google", footer_text="rrl")
         pdoc.pdoc(*names, output_directory=out)
 

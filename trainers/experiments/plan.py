@@ -148,6 +148,10 @@ def _points_of(experiment: Experiment, settings: Settings, compose: Compose) -> 
                 f"{experiment.name}: expected sources of {sorted(sources)}, got {unknown[0]!r}"
             )
         config, used = compose(overrides), {name: sources[name] for name in names}
+        if shown and experiment.figure == "curves" and not config["trainer"]["evaluation"]["every"]:
+            raise ValueError(
+                f"{experiment.name}: expected trainer.evaluation.every above 0 for curves, got 0"
+            )
         key, seeds = _key(config, used), tuple(range(scale.seeds))
         return Point(experiment.name, arm, value, key, overrides, config, seeds, used, shown)
 

@@ -236,8 +236,11 @@ def test_keys_can_have_other_names(kind):
 def test_soft_updates_move_all_target_critics(kind):
     loss = make_loss(kind, num_critics=4)
     online, target = loss.qvalue_network_params, loss.target_qvalue_network_params
+    update = SoftUpdate(loss, tau=0.25)
+    for value in target.values(True, True):
+        value.data.add_(0.1 * torch.randn_like(value))
     before = target.data.clone()
-    SoftUpdate(loss, tau=0.25).step()
+    update.step()
     for key, value in target.items(True, True):
         assert value.shape[0] == 4
         torch.testing.assert_close(value, before[key].lerp(online[key].data, 0.25))

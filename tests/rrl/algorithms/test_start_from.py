@@ -60,9 +60,7 @@ def test_the_deviation_is_the_other_agents_whatever_the_own_initial_one():
 
 
 def test_networks_of_another_size_are_refused():
-    with pytest.raises(
-        ValueError, match=r"expected (a )?TD3 with .* of \(8,\), got (a )?TD3 with \(4,\)"
-    ):
+    with pytest.raises(ValueError, match=r"expected TD3 with .* of \(8,\), got TD3 with \(4,\)"):
         make(TD3).start_from(make(TD3, hidden=(4, 8)))
 
 
@@ -76,5 +74,5 @@ def test_another_number_of_critics_is_refused(algorithm):
 
 
 def test_another_algorithm_is_refused():
-    with pytest.raises(ValueError, match=r"expected (a )?TD3 with .*, got (a )?SAC with"):
+    with pytest.raises(ValueError, match=r"expected TD3 with .*, got SAC with"):
         make(TD3).start_from(make(SAC))

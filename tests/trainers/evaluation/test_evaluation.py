@@ -317,5 +317,5 @@ def test_a_scale_of_the_wrong_length_is_named(factory):
         controller=factory.controller,
         inputs={"goal": Input(scale=[1.0, 2.0, 3.0])},
     )
-    with pytest.raises(ValueError, match="inputs.goal.scale: expected 1 or 2 numbers, got 3"):
+    with pytest.raises(ValueError, match=r"inputs\.goal\.scale: expected 1 or 2 numbers, got 3"):
         wrong.make(1)

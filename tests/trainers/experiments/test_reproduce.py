@@ -74,7 +74,7 @@ def test_a_failed_run_is_named_and_tried_again_while_the_others_are_kept(project
 
 
 def long_experiment(project):
-    overrides = ["trainer.total_steps=1500", "trainer.evaluation.every=0"]
+    overrides = ["trainer.total_steps=1500", "trainer.evaluation.every=500"]
     content = {**EXPERIMENT, "figure": "curves", "overrides": overrides}
     write(
         project / "configs/experiment/long.yaml", {k: v for k, v in content.items() if k != "sweep"}

@@ -118,7 +118,9 @@ def test_old_segments_are_forgotten_whole(tmp_path):
 
 def test_other_entries_are_refused(tmp_path):
     log = filled(tmp_path)
-    with pytest.raises(ValueError, match="transitions: expected .*action.*next.*done.*observation"):
+    with pytest.raises(
+        ValueError, match=r"transitions: expected .*action.*next.*done.*observation"
+    ):
         log.append(transitions(25, 1).exclude("action"))
     wider = transitions(25, 1)
     wider["action"] = torch.zeros(1, 2, dtype=torch.float64)

@@ -14,6 +14,7 @@ from rrl.algorithms import SAC, mlp, no_exploration
 from rrl.trainers.settings import CheckpointSettings, EvaluationSettings
 from rrl.trainers.storage.checkpoints import newest_whole
 from rrl.trainers.training.interruption import Interrupted
+from rrl.trainers.training.torch_setup import COLLECTOR_OFFSET
 from toy_envs import PointMass, RememberingPointMass
 
 
@@ -81,6 +82,7 @@ def test_every_round_acts_with_the_policy_of_the_round_before(make):
     lagging = make("lagging", overlap=False)
     policy, parameters = lagging.agent.policy, list(lagging.agent.policy.parameters())
     acting = [p.detach().clone() for p in parameters]
+    torch.manual_seed(lagging.settings.seed + COLLECTOR_OFFSET)
     while lagging.env_steps < 180:
         newest = [p.detach().clone() for p in parameters]
         for p, value in zip(parameters, acting, strict=True):
@@ -92,7 +94,8 @@ def test_every_round_acts_with_the_policy_of_the_round_before(make):
         lagging.store.extend(transitions)
         lagging.counters["env_steps"] += 20
         if lagging.env_steps >= 40:
-            lagging._update()
+            with lagging.generator.drawing():
+                lagging._update()
     assert policy is not None
     assert same(overlapped, lagging)
     lagging.close()
