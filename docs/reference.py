@@ -9,7 +9,14 @@ import warnings
 from importlib import import_module
 from pathlib import Path
 
-PACKAGES = ("rrl", "rrl.envs", "rrl.trainers")
+PACKAGES = (
+    "rrl",
+    "rrl.algorithms",
+    "rrl.controllers",
+    "rrl.transforms",
+    "rrl.envs",
+    "rrl.trainers",
+)
 INSIDE = ("rrl.trainers", "rrl.trainers.experiments")
 """Packages whose modules have pages of their own, beside the names that the package exports."""
 
