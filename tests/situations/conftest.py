@@ -20,6 +20,7 @@ SETTINGS = {
     "warmup_steps": 40,
     "steps_per_collection": 20,
     "batch_size": 16,
+    "n_step": 1,
     "updates_per_step": 0.5,
     "buffer_capacity": 1000,
     "evaluation": {"every": 0, "episodes": 2, "final_episodes": 2, "slots": 2},
