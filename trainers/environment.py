@@ -17,19 +17,11 @@ from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, TransformedEnv
 from torchrl.envs.transforms import Compose, DoubleToFloat, DTypeCastTransform, Transform
 
 from rrl.inputs import Input
-from rrl.keys import (
-    ACTION,
-    BASE_ACTION,
-    DIVERGED,
-    METRICS,
-    PREVIOUS_ACTION,
-    REWARD_TERMS,
-    SAFETY,
-    SUCCESS,
-)
+from rrl.keys import ACTION, BASE_ACTION, DIVERGED, PREVIOUS_ACTION, SUCCESS
 from rrl.symmetry import Symmetry, as_map
 from rrl.transforms import ActionHistory, ResidualAction
 
+from .entry_checks import check_action, check_number, check_reported
 from .worker_errors import WorkerErrors
 
 __all__ = ["Batching", "EnvironmentFactory", "Input", "Metric", "ResumableEnv"]
@@ -153,14 +145,17 @@ class EnvironmentFactory:
         """Build the environment with ``num_envs`` slots.
 
         Raises:
-            KeyError: If an input or the controller names an entry that the environment lacks.
-            ValueError: If an entry that is reported is not one number a slot, or ``metrics`` names
-                one that the environment does not write.
+            KeyError: If an input or the controller names an entry that the environment lacks, or
+                its action is called otherwise.
+            TypeError: If an input holds no numbers, or the action is not continuous.
+            ValueError: If the action is no vector, an entry that is reported is not one number a
+                slot, or ``metrics`` names one that the environment does not write.
         """
         errors = WorkerErrors() if self.batching == "parallel" and num_envs > 1 else None
         env = ResumableEnv(self._make_base(num_envs, errors), Compose())
         env.__dict__["worker_errors"] = errors
-        _check_reported(env.observation_spec, env.ndim, self.metrics)
+        check_action(env.full_action_spec)
+        check_reported(env.observation_spec, env.ndim, self.metrics)
         if any(spec.dtype == torch.float64 for spec in env.specs.values(True, True)):
             env.append_transform(DoubleToFloat())
         for key in (SUCCESS, DIVERGED):  # some environments write 0.0 and 1.0
@@ -179,6 +174,7 @@ class EnvironmentFactory:
 
         Raises:
             KeyError: If ``env`` lacks one of them.
+            TypeError: If one of them holds no numbers.
             ValueError: If a center or scale does not fit its entry.
         """
         spec = env.observation_spec
@@ -188,6 +184,8 @@ class EnvironmentFactory:
                 f"inputs: expected entries of the environment, which are {sorted(map(str, keys))}, "
                 f"got {missing[0]!r}"
             )
+        for name in self._inputs():
+            check_number(f"inputs.{name}", spec[name])
         inputs = {
             name: replace(entry, shape=tuple(spec[name].shape[env.ndim :]))
             for name, entry in self._inputs().items()
@@ -251,34 +249,6 @@ class EnvironmentFactory:
 
 def _dtype(spec: Composite, key: str) -> torch.dtype | None:
     return spec[key].dtype if key in spec.keys() else None  # noqa: SIM118 - a spec is no dict
-
-
-def _check_reported(spec: Composite, batch_dims: int, declared: Mapping[str, Metric]) -> None:
-    """Refuse reserved entries that cannot be reported: each must be one number a slot."""
-    leaves = {key: spec[key] for key in (SUCCESS, DIVERGED) if _dtype(spec, key)}
-    for group in (METRICS, SAFETY, REWARD_TERMS):
-        entries = spec[group] if group in spec.keys() else Composite()  # noqa: SIM118
-        if not isinstance(entries, Composite):
-            shape = list(entries.shape[batch_dims:])
-            raise ValueError(
-                f"environment: {group}: expected named entries ({group!r}, NAME) of one number "
-                f"each, got a tensor {shape}"
-            )
-        leaves |= {f"{group}/{name}": leaf for name, leaf in entries.items()}
-    for name, leaf in leaves.items():
-        shape = list(leaf.shape[batch_dims:])
-        if isinstance(leaf, Composite) or leaf.shape[batch_dims:].numel() != 1:
-            got = "a nested entry" if isinstance(leaf, Composite) else f"a tensor {shape}"
-            raise ValueError(
-                f"environment: {name}: expected one number a slot [*batch, 1], got {got}: write "
-                "each component under its own name, or a norm"
-            )
-    written = [name.partition("/")[2] for name in leaves if name.startswith(f"{METRICS}/")]
-    if missing := sorted(set(declared) - set(written)):
-        raise ValueError(
-            f"environment: metrics: expected names that the environment writes {written}, "
-            f"got {missing}"
-        )
 
 
 def _joined(maps: Sequence[Sequence[int]]) -> list[int]:

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.collectors import Collector
-from torchrl.envs import EnvBase
+from torchrl.envs import EnvBase, TransformedEnv
 
 from rrl.keys import ACTION
 from rrl.slot_random import seed_env
@@ -62,7 +62,7 @@ class EpisodeInProgress:
             batch_size = self.env.batch_size
             self.env.begin_with(TensorDict(from_entries(state["next_input"]), batch_size))
             self.collector.reset()
-            self.env.base_env.load_state_dict(state["base"])
+            _put_back(self.env.base_env, state["base"])
         self.env.transform.load_state_dict(state["transforms"])
 
     def start_anew(self, seed: int) -> None:
@@ -81,7 +81,8 @@ def goes_on_from_its_state(env: EnvBase) -> tuple[bool, bool]:
     modules = {name for name, _ in env.named_parameters()} | {n for n, _ in env.named_buffers()}
     if not _has_content({key: value for key, value in state.items() if key not in modules}):
         return False, False
-    action = env.full_action_spec[ACTION].zero()
+    spec = env.full_action_spec[ACTION]
+    action = spec.project(spec.zero())  # zero may be out of bounds
 
     def step() -> TensorDictBase:
         root = TensorDict({ACTION: action}, env.batch_size)
@@ -89,9 +90,9 @@ def goes_on_from_its_state(env: EnvBase) -> tuple[bool, bool]:
 
     try:
         first = step()
-        env.load_state_dict(state)
+        _put_back(env, state)
         second = step()
-        env.load_state_dict(state)
+        _put_back(env, state)
     except Exception as error:  # no way back, whatever the reason
         log.warning(
             "the environment's state cannot be restored (%s: %s); a resumed run begins an episode",
@@ -105,6 +106,20 @@ def goes_on_from_its_state(env: EnvBase) -> tuple[bool, bool]:
         if isinstance(value, torch.Tensor)
     ]
     return True, all(same)
+
+
+def _put_back(env: EnvBase, state: Mapping[str, Any]) -> None:
+    """Load an environment's state; the next step of a ``ParallelEnv`` then waits for its workers.
+
+    TorchRL 0.14 leaves the flags raised by which its workers say that they have loaded. The next
+    step would take them for its own, and return what the workers wrote before.
+    """
+    env.load_state_dict(state)
+    while isinstance(env, TransformedEnv):
+        env = env.base_env
+    flags = vars(env).get("_shm_done_flags", ())
+    for worker in range(len(flags)):
+        flags[worker] = 0
 
 
 def _has_content(state: Any) -> bool:

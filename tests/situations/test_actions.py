@@ -1,0 +1,74 @@
+"""Actions of every kind: trained, or refused before anything is stored."""
+
+from functools import partial
+
+import pytest
+import torch
+from torchrl.data import Bounded, Categorical, OneHot, Unbounded
+from torchrl.envs import RenameTransform, TransformedEnv
+
+from situation_envs import Machine, Simulator
+
+TRAINED = {
+    "one": Bounded(-1.0, 1.0, (1,)),
+    "three": Bounded(torch.tensor([-1.0, -2.0, 0.0]), torch.tensor([1.0, 3.0, 5.0]), (3,)),
+    "float64": Bounded(-1.0, 1.0, (2,), dtype=torch.float64),
+    "float16": Bounded(-1.0, 1.0, (2,), dtype=torch.float16),
+    "bfloat16": Bounded(-1.0, 1.0, (2,), dtype=torch.bfloat16),
+    "unbounded": Unbounded((2,)),
+    "from zero on": Bounded(torch.zeros(2), torch.full((2,), torch.inf), (2,)),
+    "one of two bounded": Bounded(
+        torch.tensor([-1.0, -torch.inf]), torch.tensor([1.0, torch.inf]), (2,)
+    ),
+    "a dimension without range": Bounded(torch.tensor([-1.0, 0.5]), torch.tensor([1.0, 0.5]), (2,)),
+}
+REFUSED = {
+    "scalar": Bounded(-1.0, 1.0, ()),
+    "matrix": Bounded(-1.0, 1.0, (2, 2)),
+    "discrete": Categorical(4),
+    "one-hot": OneHot(4),
+    "int64": Bounded(-3, 3, (2,), dtype=torch.int64),
+    "empty": Unbounded((0,)),
+}
+
+
+@pytest.mark.parametrize("name", TRAINED)
+def test_an_action_is_trained(check_run, factory, name):
+    _, _, stored = check_run(factory(partial(Simulator, action=TRAINED[name])), True)
+    assert stored["action"].shape[1:] == TRAINED[name].shape
+    assert (stored["action"].abs() <= 1).all()
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_an_action_is_refused_before_anything_is_stored(make_trainer, factory, tmp_path, name):
+    with pytest.raises((TypeError, ValueError), match=r"^action: expected .*, got"):
+        make_trainer(factory(partial(Machine, action=REFUSED[name])))
+    assert not list((tmp_path / "run").rglob("*.*"))
+
+
+def test_an_action_of_another_name_is_refused_by_name(make_trainer, factory):
+    with pytest.raises(KeyError, match=r"action: expected .*'action', got \('arm', 'action'\)"):
+        make_trainer(factory(partial(Machine, action_key=("arm", "action"))))
+
+
+def test_a_second_action_is_refused_by_name(make_trainer, factory):
+    class TwoHands(Machine):
+        def __init__(self):
+            super().__init__()
+            spec = self.full_action_spec
+            spec["gripper"] = Bounded(-1.0, 1.0, (1,))
+            self.full_action_spec = spec
+
+    with pytest.raises(ValueError, match=r"action: expected no other .*, got action, gripper"):
+        make_trainer(factory(TwoHands))
+
+
+def renamed():
+    """What the message asks for: the nested action under the usual name."""
+    env = Machine(action_key=("arm", "action"))
+    rename = RenameTransform([], [], [("arm", "action")], ["action"])
+    return TransformedEnv(env, rename)
+
+
+def test_a_nested_action_is_trained_under_the_usual_name(check_run, factory):
+    check_run(factory(renamed))

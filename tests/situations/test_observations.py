@@ -1,0 +1,63 @@
+"""Observation entries of every kind."""
+
+from functools import partial
+
+import pytest
+import torch
+from torchrl.data import Binary, Bounded, NonTensor, Unbounded
+
+from situation_envs import Machine, Simulator, Slow, batched
+
+ENTRIES = {
+    "image": Bounded(0, 255, (4, 4, 3), dtype=torch.uint8),
+    "count": Unbounded((2,), dtype=torch.int64),
+    "small count": Unbounded((2,), dtype=torch.int32),
+    "contact": Binary(2, (2,), dtype=torch.bool),
+    "precise": Unbounded((3,), dtype=torch.float64),
+    "half": Unbounded((3,), dtype=torch.float16),
+    ("arm", "joint", "position"): Unbounded((3,)),
+    "one": Unbounded((1,)),
+    "scalar": Unbounded(()),
+    "true or false": Binary(shape=(), dtype=torch.bool),
+    "matrix": Unbounded((2, 3)),
+    "left/arm": Unbounded((2,)),
+    "left arm": Unbounded((2,)),
+    "left.arm": Unbounded((2,)),
+    "links_é": Unbounded((2,)),
+}
+
+
+@pytest.mark.parametrize("key", ENTRIES, ids=str)
+def test_an_entry_is_learned_from(check_run, factory, key):
+    _, _, stored = check_run(factory(partial(Simulator, {key: ENTRIES[key]}), [key]), True)
+    assert stored[key].shape[1:] == ENTRIES[key].shape
+    first, following = stored[key][0], stored["next"][key][0]
+    assert first.dtype == (torch.float32 if key == "precise" else ENTRIES[key].dtype)
+    assert not torch.equal(first, following) or key in ("image", "count", "small count", "contact")
+
+
+@pytest.mark.parametrize("kind", [Slow, Machine], ids=["simulation", "machine"])
+@pytest.mark.parametrize(
+    "batching", ["serial", "native", pytest.param("parallel", marks=pytest.mark.slow)]
+)
+def test_all_entries_at_once_in_a_batch(check_run, factory, batching, kind):
+    base = partial(kind, ENTRIES)
+    base = partial(batched, base) if batching == "native" else base
+    environment = factory(base, ENTRIES, batching=batching)
+    simulation = kind is Slow
+    _, _, stored = check_run(environment, simulation, num_envs=2, steps_per_collection=10)
+    assert {key: stored[key].shape[1:] for key in ENTRIES} == {
+        key: spec.shape for key, spec in ENTRIES.items()
+    }
+
+
+def test_text_beside_the_inputs_is_no_hindrance(check_run, factory):
+    entries = {"position": Unbounded((2,)), "instruction": NonTensor(())}
+    check_run(factory(partial(Machine, entries)))
+
+
+def test_text_as_an_input_is_refused_by_name(make_trainer, factory):
+    entries = {"position": Unbounded((2,)), "instruction": NonTensor(())}
+    environment = factory(partial(Machine, entries), ["position", "instruction"])
+    with pytest.raises((TypeError, ValueError), match=r"inputs\.instruction: expected .*, got"):
+        make_trainer(environment).run()

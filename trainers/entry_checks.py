@@ -1,0 +1,86 @@
+"""What a trainer asks of an environment's entries, checked before anything is collected."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from torchrl.data import Composite, TensorSpec
+from torchrl.data.tensor_specs import NonTensor
+
+from rrl.keys import ACTION, DIVERGED, METRICS, REWARD_TERMS, SAFETY, SUCCESS
+
+__all__ = ["check_action", "check_number", "check_reported"]
+
+
+def check_action(spec: Composite) -> None:
+    """Refuse an environment whose action is not one vector of floating point numbers.
+
+    Raises:
+        KeyError: If there is no entry ``action``.
+        TypeError: If it is not continuous.
+        ValueError: If it is no vector, or not the only action.
+    """
+    names = [str(key) for key in spec.keys(True, True)]
+    if ACTION not in names:
+        raise KeyError(
+            f"action: expected an entry 'action', got {', '.join(names)}; rename it with "
+            "torchrl.envs.RenameTransform"
+        )
+    if len(names) > 1:
+        raise ValueError(f"action: expected no other action entry, got {', '.join(names)}")
+    leaf = spec[ACTION]
+    shape = list(leaf.shape[spec.ndim :])
+    if not leaf.dtype.is_floating_point:
+        raise TypeError(
+            f"action: expected a continuous action, got {type(leaf).__name__} of {leaf.dtype}"
+        )
+    if len(shape) != 1 or not shape[0]:
+        raise ValueError(
+            f"action: expected a vector [*batch, n], got the shape {shape} beside the batch; let "
+            "the environment take its numbers in one dimension"
+        )
+
+
+def check_number(name: str, spec: TensorSpec) -> None:
+    """Refuse an entry that holds no numbers.
+
+    Raises:
+        TypeError: If it holds text or other objects, or further entries.
+    """
+    if isinstance(spec, (Composite, NonTensor)):
+        kind = "further entries" if isinstance(spec, Composite) else "text or other objects"
+        raise TypeError(f"{name}: expected numbers, got {kind}")
+
+
+def check_reported(spec: Composite, batch_dims: int, declared: Mapping[str, Any]) -> None:
+    """Refuse reserved entries that cannot be reported: each must be one number a slot.
+
+    Raises:
+        ValueError: If one is not, or ``declared`` names one that the environment does not write.
+    """
+    present = list(spec.keys())
+    leaves = {key: spec[key] for key in (SUCCESS, DIVERGED) if key in present}
+    for group in (METRICS, SAFETY, REWARD_TERMS):
+        entries = spec[group] if group in present else Composite()
+        if not isinstance(entries, Composite):
+            shape = list(entries.shape[batch_dims:])
+            raise ValueError(
+                f"environment: {group}: expected named entries ({group!r}, NAME) of one number "
+                f"each, got a tensor {shape}"
+            )
+        leaves |= {f"{group}/{name}": leaf for name, leaf in entries.items()}
+    for name, leaf in leaves.items():
+        shape = list(leaf.shape[batch_dims:])
+        if isinstance(leaf, Composite) or leaf.shape[batch_dims:].numel() != 1:
+            got = "a nested entry" if isinstance(leaf, Composite) else f"a tensor {shape}"
+            raise ValueError(
+                f"environment: {name}: expected one number a slot [*batch, 1], got {got}: write "
+                "each component under its own name, or a norm"
+            )
+    written = [name.partition("/")[2] for name in leaves if name.startswith(f"{METRICS}/")]
+    if missing := sorted(set(declared) - set(written)):
+        raise ValueError(
+            f"environment: metrics: expected names that the environment writes {written}, "
+            f"got {missing}"
+        )
