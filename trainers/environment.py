@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.data import Composite
-from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, TransformedEnv
+from torchrl.envs import EnvBase, SerialEnv, TransformedEnv
 from torchrl.envs.transforms import Compose, DoubleToFloat, DTypeCastTransform, Transform
 
 from rrl.inputs import Input
@@ -30,6 +30,7 @@ from rrl.keys import (
 from rrl.symmetry import Symmetry, as_map
 from rrl.transforms import ActionHistory, ResidualAction
 
+from .parallel_env import RestorableParallelEnv
 from .worker_errors import WorkerErrors
 
 __all__ = ["Batching", "EnvironmentFactory", "Input", "Metric", "ResumableEnv"]
@@ -238,7 +239,7 @@ class EnvironmentFactory:
             return self.base()
         if errors is None:
             return SerialEnv(num_envs, self.base)
-        return ParallelEnv(num_envs, [errors.reporting(self.base, i) for i in range(num_envs)])
+        return RestorableParallelEnv(num_envs, [errors.reporting(self.base, i) for i in range(num_envs)])
 
 
 def _dtype(spec: Composite, key: str) -> torch.dtype | None:
