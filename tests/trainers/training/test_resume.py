@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import partial
 
 import pytest
+import torch
 from torchrl.modules import OrnsteinUhlenbeckProcessModule
 
 from rrl.algorithms import DDPG, SAC, TD3, mlp, no_exploration
@@ -113,3 +114,21 @@ def test_so_it_is_with_every_kind_of_environment(make, factory, kind, overlap):
     assert second.collection.can_continue
     assert second.env_steps == 60
     assert_same_run(whole, run(second))
+
+
+def test_an_environment_that_resets_itself_ends_with_the_last_observation_it_showed(
+    make, factory
+):
+    environment = replace(factory, base=ENVIRONMENTS["resets itself"][0])
+    trainer = make("run", environment=environment, num_envs=2, n_step=1)
+    data, _ = trainer.collection.collect(0)
+    for _ in range(3):
+        more, _ = trainer.collection.collect(0)
+        data = torch.cat([data, more], 1)
+    trainer.close()
+    over = data["next", "done"].squeeze(-1)
+    assert over.sum() == 2 * 2  # 40 steps of two environments, episodes of 20
+    for key in ("goal", "end_effector_position"):
+        assert torch.equal(data["next", key][over], data[key][over])
+        goes_on = ~over[:, :-1]
+        assert torch.equal(data["next", key][:, :-1][goes_on], data[key][:, 1:][goes_on])
