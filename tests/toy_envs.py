@@ -142,3 +142,7 @@ class ResetsItself(PointMass):
             again = self._reset(TensorDict({"_reset": out["done"]}, batch_size=self.batch_size))
             out.update(again)
         return out
+
+
+class RemembersAndResetsItself(ResetsItself, RememberingPointMass):
+    """Both."""

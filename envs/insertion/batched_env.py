@@ -83,7 +83,7 @@ class InsertionEnv(EnvBase):
         self._steps = np.zeros(num_envs, dtype=np.int64)
         # What the last step wrote: slots that do not step, or diverge, write it again.
         blank = np.zeros((num_envs, 1, self._simulation.start.layout.size))
-        self._outputs = self._evaluate(blank)
+        self._outputs = {name: value.copy() for name, value in self._evaluate(blank).items()}
         self._generators: list[np.random.Generator] = []
         self._make_specs()
         self._set_seed(seed)

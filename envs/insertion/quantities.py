@@ -100,7 +100,7 @@ OBSERVATIONS = {
     "wrench": Observation(6, lambda m, config: m.wrench),
     "force_z": Observation(1, lambda m, config: m.wrench[:, 2:3]),
     "blocks": Observation(13, _blocks),
-    "goal": Observation(3, lambda m, config: np.tile(config.goal, (len(m.wrench), 1))),
+    "goal": Observation(3, lambda m, config: np.broadcast_to(config.goal, (len(m.wrench), 3))),
 }
 """The paper's section IV; of ``wrench`` and ``force_z`` the one that the config names."""
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from torchrl.envs import GymWrapper, SerialEnv
-from torchrl.envs.libs.gym import set_gym_backend
+from torchrl.envs import GymWrapper
 
 from rrl.controllers import ProportionalController
 

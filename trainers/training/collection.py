@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.collectors import Collector
 from torchrl.envs.transforms import InitTracker
@@ -156,6 +156,8 @@ class InTurn(Collection):
         """Collect now."""
         with torch.no_grad():
             data = self.rollout(env_steps)
+            if self.env.__dict__.get("_torchrl_native_autoreset", False):
+                _fill_in_last_observations(data, self.interface.inputs)
             values = collection_metrics(data, self.env) | self._returns.metrics(data)
         return data.select(*stored_keys(self.interface.inputs)), values | measured(self.stopwatch)
 
@@ -193,3 +195,16 @@ class InTurn(Collection):
             self.collector.shutdown()
         else:
             self.env.close()
+
+
+def _fill_in_last_observations(data: TensorDictBase, inputs: Iterable[NestedKey]) -> None:
+    """Let an episode's last observation but one stand for the last one.
+
+    An environment that resets itself hides the last one; TorchRL marks it with numbers that are not
+    finite. What follows a termination is not looked at.
+    """
+    following = data["next"]
+    for key in inputs:
+        value = following[key]
+        over = following["done"].reshape(*data.shape, *[1] * (value.ndim - data.ndim))
+        following[key] = torch.where(over, data[key], value)

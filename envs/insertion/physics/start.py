@@ -75,9 +75,8 @@ class StartState:
         for iteration in range(200):
             forward(model, data, qpos)
             signals = self.layout.views(data.sensordata[None])
-            error = np.concatenate(
-                (target - signals["tool_position"][0], orientation_error(signals)[0])
-            )
+            offset = target - signals["tool_position"][0]
+            error = np.concatenate((offset, orientation_error(signals)[0]))
             if np.abs(error).max() < 1e-9:
                 return qpos[self._arm].copy()
             error[:3] *= min(1.0, 0.1 / (np.linalg.norm(error[:3]) + 1e-12))

@@ -1,0 +1,279 @@
+"""Environments as people have them: what they call things, how they keep their state, what they count in."""
+
+import random
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+from runs import assert_same_run, run
+from tensordict import NonTensorData, TensorDict
+from torch import nn
+from torchrl.data import Binary, Bounded, Composite, NonTensor, Unbounded
+from torchrl.envs import EnvBase
+
+from rrl.controllers import ProportionalController, ZeroController
+from rrl.trainers import EnvironmentFactory, Input
+from rrl.trainers.settings import CheckpointSettings, EvaluationSettings
+
+EPISODE = 20
+
+
+class Line(EnvBase):
+    """A point without batch dimensions that knows its state as ``state_dict`` only."""
+
+    position, goal = "position", "goal"
+
+    def __init__(self, dtype=torch.float32):
+        super().__init__(batch_size=[])
+        shape = {"shape": [2], "dtype": dtype}
+        self.observation_spec = Composite(
+            {self.position: Unbounded(**shape), self.goal: Unbounded(**shape)}
+        )
+        self.action_spec = Bounded(-1.0, 1.0, [2], dtype=dtype)
+        self.reward_spec = Unbounded([1], dtype=dtype)
+        done = Binary(1, [1], dtype=torch.bool)
+        names = ("done", "terminated", "truncated")
+        self.full_done_spec = Composite({name: done.clone() for name in names})
+        self.kind = dtype
+        self.random, self.t, self.x = np.random.default_rng(0), 0, np.zeros(2)
+
+    def _observe(self):
+        x = torch.tensor(self.x, dtype=self.kind)
+        return {self.position: x, self.goal: torch.ones(2, dtype=self.kind)}
+
+    def _reset(self, tensordict=None, **kwargs):
+        self.t, self.x = 0, self.random.random(2)
+        return TensorDict(self._observe(), [])
+
+    def _step(self, tensordict):
+        action = tensordict["action"]
+        assert action.dtype == self.kind
+        self.t, self.x = self.t + 1, self.x + 0.1 * action.double().numpy()
+        over = torch.tensor([self.t >= EPISODE])
+        reward = -torch.tensor([np.abs(1 - self.x).sum()], dtype=self.kind)
+        ends = {"done": over, "truncated": over.clone(), "terminated": torch.zeros_like(over)}
+        return TensorDict({**self._observe(), "reward": reward, **ends}, [])
+
+    def _set_seed(self, seed):
+        self.random = np.random.default_rng(seed)
+
+    def state_dict(self, *args, **kwargs):
+        return {"x": self.x, "t": self.t, "random": self.random.bit_generator.state}
+
+    def load_state_dict(self, state, *args, **kwargs):
+        self.x, self.t = np.array(state["x"]), int(state["t"])
+        self.random.bit_generator.state = state["random"]
+
+
+class Slashes(Line):
+    position, goal = "arm/position", "arm/goal"
+
+
+class Nested(Line):
+    position, goal = ("arm", "position"), ("arm", "goal")
+
+
+class LegacyGenerator(Line):
+    """NumPy's old generator, a scalar of NumPy's and a count as a float."""
+
+    def _set_seed(self, seed):
+        self.random = np.random.RandomState(seed)
+
+    def state_dict(self, *args, **kwargs):
+        state = self.random.get_state()
+        return {"x": self.x, "t": np.int64(self.t), "random": state, "clock": float(self.t)}
+
+    def load_state_dict(self, state, *args, **kwargs):
+        self.x, self.t = np.array(state["x"]), int(state["clock"])
+        self.random.set_state(state["random"])
+
+
+class Chatty(Line):
+    """Text among the observations."""
+
+    def __init__(self):
+        super().__init__()
+        self.observation_spec["camera"] = NonTensor(shape=[])
+
+    def _observe(self):
+        return {**super()._observe(), "camera": NonTensorData(f"step {self.t}")}
+
+
+class Forgetful(Line):
+    """No state at all."""
+
+    def state_dict(self, *args, **kwargs):
+        return {}
+
+
+class OwnsANetwork(Forgetful):
+    """Parameters and buffers, but nothing of the episode."""
+
+    def __init__(self):
+        super().__init__()
+        self.camera = nn.Sequential(nn.Linear(2, 2), nn.BatchNorm1d(2))
+
+    def state_dict(self, *args, **kwargs):
+        return EnvBase.state_dict(self, *args, **kwargs)
+
+
+class ForgetsTheTime(Line):
+    """A state that is given and taken but does not hold everything."""
+
+    def load_state_dict(self, state, *args, **kwargs):
+        pass
+
+
+class RefusesItsState(Line):
+    def load_state_dict(self, state, *args, **kwargs):
+        raise NotImplementedError("not yet")
+
+
+class KeepsAFile(Line):
+    def state_dict(self, *args, **kwargs):
+        return {**super().state_dict(), "devices": [{"handle": object()}]}
+
+
+def of(base, **arguments):
+    """The factory of an environment; inputs are all that the point sees, and the controller's action."""
+    inputs = {base.position: Input(), base.goal: Input(), "base_action": Input()}
+    return EnvironmentFactory(
+        partial(base, **arguments),
+        partial(ProportionalController, base.position, base.goal, gain=0.5),
+        inputs,
+        batching="serial",
+        max_episode_steps=EPISODE,
+    )
+
+
+@pytest.fixture
+def make(make_trainer):
+    def make(run_dir, environment, **changes):
+        return make_trainer(
+            run_dir,
+            environment=environment,
+            **{
+                "total_steps": 120,
+                "warmup_steps": 30,
+                "steps_per_collection": 10,
+                "batch_size": 16,
+                "evaluation": EvaluationSettings(every=60, episodes=2, final_episodes=2, slots=2),
+                "checkpoint": CheckpointSettings(every=30),
+                **changes,
+            },
+        )
+
+    return make
+
+
+@pytest.mark.parametrize("overlap", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("base", [Line, Slashes, Nested, LegacyGenerator, Chatty])
+def test_a_state_of_arrays_generators_and_text_is_saved_and_gone_on_from(make, base, overlap):
+    environment = of(base)
+    whole = run(make("whole", environment, overlap=overlap))
+    run(make("broken", environment, total_steps=90, overlap=overlap))
+    second = make("broken", environment, overlap=overlap)
+    second.resume()
+    assert second.collection.can_continue
+    assert_same_run(whole, run(second))
+
+
+@pytest.mark.parametrize("num_envs", [1, 2])
+def test_what_cannot_be_saved_is_refused_at_the_first_checkpoint_with_its_path(make, num_envs):
+    with make("run", of(KeepsAFile), num_envs=num_envs, steps_per_collection=5) as trainer:
+        with pytest.raises(TypeError, match=r"'devices'\]\[0\]\['handle'\]: expected .* a object"):
+            trainer.run()
+        assert trainer.env_steps == 0
+
+
+@pytest.mark.parametrize(
+    ("base", "said"),
+    [
+        (Forgetful, None),
+        (OwnsANetwork, None),
+        (ForgetsTheTime, None),
+        (RefusesItsState, "the environment's state cannot be restored (NotImplementedError: not"),
+    ],
+)
+def test_an_environment_that_cannot_go_on_is_found_out_and_begins_a_new_episode(
+    make, base, said, caplog
+):
+    environment = of(base)
+    first = run(make("run", environment, total_steps=60))
+    assert not first.collection.can_continue
+    assert said is None or said in caplog.text
+    second = make("run", environment)
+    second.resume()
+    assert second.counters["restarts"] == 1
+    stored = run(second).replay.storage[:]
+    assert len(stored) == 120
+    assert torch.equal(stored["base_action"][:60], first.replay.storage[:]["base_action"])
+
+
+@pytest.mark.parametrize("overlap", [False, True])
+@pytest.mark.parametrize("num_envs", [1, 2])
+def test_double_precision_reaches_the_environment_and_single_the_learner(make, num_envs, overlap):
+    environment = of(Line, dtype=torch.float64)
+    changes = {"num_envs": num_envs, "steps_per_collection": 10 // num_envs, "overlap": overlap}
+    trainer = run(make("run", environment, **changes))
+    stored = trainer.replay.storage[:]
+    assert {value.dtype for value in stored.values(True, True)} <= {
+        torch.float32,
+        torch.bool,
+        torch.int64,  # the index
+    }
+    assert all(p.dtype == torch.float32 for p in trainer.agent.parameters())
+
+
+@pytest.mark.parametrize("overlap", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_the_default_type_of_the_process_does_not_matter(make, dtype, overlap):
+    torch.set_default_dtype(torch.float64)
+    try:
+        trainer = run(make("run", of(Line, dtype=dtype), overlap=overlap))
+        second = make("run", of(Line, dtype=dtype), overlap=overlap, total_steps=150)
+        second.resume()
+        run(second)
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert all(p.dtype == torch.float32 for p in trainer.agent.parameters())
+    assert second.env_steps == 150
+
+
+class Drawn(Line):
+    """Draws its starts from the process's own generators."""
+
+    def _reset(self, tensordict=None, **kwargs):
+        self.t, self.x = 0, np.array([random.random(), np.random.rand() + torch.rand(()).item()])
+        return TensorDict(self._observe(), [])
+
+
+def test_evaluation_leaves_no_trace_in_what_is_drawn_from_global_generators(make):
+    environment = of(Drawn)
+    often = EvaluationSettings(every=30, episodes=3, final_episodes=2)
+    never = EvaluationSettings(every=0, episodes=3, final_episodes=2)
+    runs = [run(make(f"{e.every}", environment, evaluation=e)) for e in (often, never)]
+    assert_same_run(*runs)
+
+
+def test_text_does_not_reach_the_learner_and_evaluation_plays_it(make, make_trainer):
+    environment = of(Chatty)
+    trainer = run(make("run", environment, num_envs=2, steps_per_collection=5))
+    assert "camera" not in trainer.replay.storage[:].keys()
+
+
+def test_an_environment_without_batch_dimensions_goes_through_every_path(make):
+    environment = of(Line)
+    with make("run", environment, profile=True, n_step=3) as trainer:
+        assert trainer.collection.env.batch_size == ()
+        results = trainer.run()
+    assert len(results["drift"].residual.returns) == 2
+    assert trainer.replay.storage[:]["position"].shape == (120, 2)
+
+
+def test_a_controller_without_an_idea_is_fine(make):
+    environment = EnvironmentFactory(
+        Line, ZeroController, ["position"], batching="serial", max_episode_steps=EPISODE
+    )
+    assert run(make("run", environment)).env_steps == 120

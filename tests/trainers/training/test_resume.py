@@ -1,0 +1,132 @@
+"""A run that dies and goes on is the run that never died, whatever learns, acts and is controlled."""
+
+from dataclasses import replace
+from functools import partial
+
+import pytest
+import torch
+from runs import assert_same_run, run, run_until
+from torchrl.modules import OrnsteinUhlenbeckProcessModule
+
+from rrl.algorithms import DDPG, SAC, TD3, mlp, no_exploration
+from rrl.trainers.settings import CheckpointSettings, EvaluationSettings
+from toy_envs import RememberingPointMass, RemembersAndResetsItself
+
+SMALL = {"network": partial(mlp, hidden=[16]), "gamma": 0.9}
+ENSEMBLE = {"num_critics": 3, "target_subset": 2, "last_layer_bound": 0.1}
+LEARNERS = {
+    "TD3": partial(TD3, **SMALL, **ENSEMBLE),
+    "SAC": partial(SAC, **SMALL),
+    "DDPG": partial(DDPG, **SMALL),
+}
+DEATHS = [
+    ("collection.collect", 40),
+    ("store.extend", 70),
+    ("agent.update", 90),
+    ("evaluator.compare", 120),
+    ("checkpoints.save", 140),
+]
+"""Where the run dies, each time after the step to which it had come."""
+
+
+def point(num_envs=1, kind=RememberingPointMass):
+    return kind([num_envs])
+
+
+ENVIRONMENTS = {
+    "one without batch": (partial(RememberingPointMass, []), "serial", 1),
+    "serial": (partial(RememberingPointMass, []), "serial", 2),
+    "parallel": (partial(RememberingPointMass, []), "parallel", 2),
+    "native": (point, "native", 2),
+    "resets itself": (partial(point, kind=RemembersAndResetsItself), "native", 2),
+}
+
+
+@pytest.fixture
+def make(make_trainer, simulated):
+    """Builds a trainer that collects in the middle of episodes; checkpoints every 20 steps."""
+
+    def make(run_dir, algorithm="TD3", compiled=False, environment=None, **changes):
+        explore = partial(OrnsteinUhlenbeckProcessModule, annealing_num_steps=100, dt=1.0)
+        return make_trainer(
+            run_dir,
+            environment=environment or simulated,
+            agent=partial(LEARNERS[algorithm], compiled=compiled),
+            exploration=no_exploration if algorithm == "SAC" else explore,
+            **{
+                "total_steps": 160,
+                "warmup_steps": 30,
+                "steps_per_collection": 10,
+                "updates_per_step": 0.4,
+                "batch_size": 16,
+                "buffer_capacity": 100,
+                "evaluation": EvaluationSettings(every=40, episodes=2, final_episodes=2, slots=2),
+                "checkpoint": CheckpointSettings(every=20),
+                **changes,
+            },
+        )
+
+    return make
+
+
+def broken(make, **arguments):
+    """The run that dies at every place of ``DEATHS``."""
+    for i, (place, env_steps) in enumerate(DEATHS):
+        trainer = make("broken", **arguments)
+        if i:
+            trainer.resume()
+        run_until(trainer, place, env_steps)
+    trainer = make("broken", **arguments)
+    trainer.resume()
+    return run(trainer)
+
+
+@pytest.mark.parametrize("overlap", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("algorithm", LEARNERS)
+def test_a_run_that_dies_at_many_places_is_the_run_that_never_died(make, algorithm, overlap):
+    arguments = {"algorithm": algorithm, "overlap": overlap, "n_step": 2}
+    assert_same_run(run(make("whole", **arguments)), broken(make, **arguments))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")  # the compiler warns of its own doings
+@pytest.mark.parametrize("overlap", [False, True])
+@pytest.mark.parametrize("algorithm", LEARNERS)
+def test_so_it_is_with_compiled_updates(make, algorithm, overlap):
+    arguments = {"algorithm": algorithm, "overlap": overlap, "compiled": True}
+    assert_same_run(run(make("whole", **arguments)), broken(make, **arguments))
+
+
+@pytest.mark.parametrize("overlap", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", ENVIRONMENTS)
+def test_so_it_is_with_every_kind_of_environment(make, factory, kind, overlap):
+    base, batching, num_envs = ENVIRONMENTS[kind]
+    arguments = {
+        "environment": replace(factory, base=base, batching=batching),
+        "num_envs": num_envs,
+        "steps_per_collection": 10 // num_envs,
+        "overlap": overlap,
+    }
+    whole = run(make("whole", **arguments))
+    run_until(make("broken", **arguments), "agent.update", 70)
+    second = make("broken", **arguments)
+    second.resume()
+    assert second.collection.can_continue
+    assert second.env_steps == 60
+    assert_same_run(whole, run(second))
+
+
+def test_an_environment_that_resets_itself_ends_with_the_last_observation_it_showed(make, factory):
+    environment = replace(factory, base=ENVIRONMENTS["resets itself"][0])
+    trainer = make("run", environment=environment, num_envs=2, n_step=1)
+    data, _ = trainer.collection.collect(0)
+    for _ in range(3):
+        more, _ = trainer.collection.collect(0)
+        data = torch.cat([data, more], 1)
+    trainer.close()
+    over = data["next", "done"].squeeze(-1)
+    assert over.sum() == 2 * 2  # 40 steps of two environments, episodes of 20
+    for key in ("goal", "end_effector_position"):
+        assert torch.equal(data["next", key][over], data[key][over])
+        goes_on = ~over[:, :-1]
+        assert torch.equal(data["next", key][:, :-1][goes_on], data[key][:, 1:][goes_on])
