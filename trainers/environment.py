@@ -21,10 +21,7 @@ from rrl.keys import ACTION, BASE_ACTION, DIVERGED, PREVIOUS_ACTION, SUCCESS
 from rrl.symmetry import Symmetry, as_map
 from rrl.transforms import ActionHistory, ResidualAction
 
-<<<<<<< HEAD
 from .entry_checks import check_action, check_number, check_reported
-=======
->>>>>>> tests
 from .worker_errors import WorkerErrors
 
 __all__ = ["Batching", "EnvironmentFactory", "Input", "Metric", "ResumableEnv"]

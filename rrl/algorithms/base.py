@@ -182,12 +182,12 @@ class Agent(nn.Module, ABC):
         self._updates = Updates(self, self.settings.compiled)
 
     def start_from(self, other: Agent) -> None:
-        """Take over what the loss of ``other`` holds as initial values; optimizers stay fresh.
+        """Take over networks, targets and temperature of ``other``; all else stays as it is.
 
         Raises:
             ValueError: If ``other`` is of another algorithm or has networks of other sizes.
         """
-        given, own = other.loss.state_dict(), self.loss.state_dict()
+        given, own = _learned(other.loss), _learned(self.loss)
         for name in sorted(given.keys() | own.keys()):
             shapes = [tuple(d[name].shape) if name in d else None for d in (own, given)]
             if shapes[0] != shapes[1]:
@@ -309,3 +309,9 @@ class Agent(nn.Module, ABC):
 
 def no_exploration(spec: TensorSpec) -> None:
     """Make no exploration module: for policies that are stochastic themselves, such as SAC's."""
+
+
+def _learned(loss: LossModule) -> dict[str, Tensor]:
+    """Return what a loss has learned: not its discount, nor what it is told to aim at."""
+    state = loss.state_dict()
+    return {k: v for k, v in state.items() if "_params." in k or k == "log_alpha"}
