@@ -1,13 +1,13 @@
-"""What all algorithms share: settings, networks, optimizers, the order of the updates."""
+"""What all algorithms share: networks, optimizers, the order of the updates."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from typing import Any, ClassVar, Literal
+from contextlib import contextmanager
+from typing import Any, ClassVar
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
@@ -15,65 +15,29 @@ from torchrl.data import TensorSpec
 from torchrl.objectives import LossModule, SoftUpdate
 from torchrl.objectives.utils import ValueEstimators
 
-from rrl.algorithms.networks import (
-    Concatenate,
-    EncodedNetwork,
-    EncoderFactory,
-    NetworkFactory,
-    last_layer,
-    mlp,
-)
-from rrl.algorithms.optimizers import Adam, OptimizerFactory
+from rrl.algorithms.networks import EncodedNetwork, last_layer
+from rrl.algorithms.settings import AgentSettings
 from rrl.algorithms.symmetric_actor import SymmetricActor
 from rrl.algorithms.updates import Step, Updates
 from rrl.inputs import Input
 from rrl.keys import ACTION, OBSERVATION
 from rrl.symmetry import Symmetry
 
-__all__ = ["Agent", "AgentSettings", "no_exploration"]
+__all__ = ["Agent", "no_exploration", "single_precision"]
 
 UPDATES_PER_GRAPH = 4
 """At most: every further one saves less time in a call and takes as long to compile."""
 
 
-class AgentSettings(BaseModel):
-    """Hyperparameters that all algorithms have.
-
-    Attributes:
-        encoder: Makes the module from the policy's inputs to features; one without parameters is
-            run once a batch, one with parameters is part of every network that reads it.
-        network: Makes the networks of actor and critics.
-        optimizer: Makes the optimizers.
-        last_layer_bound: The actor's output layer is drawn from ``U(-bound, bound)``; 0 makes an
-            untrained residual exactly zero.
-        actor_lr: Learning rate of the actor.
-        critic_lr: Learning rate of the critics.
-        gamma: Discount.
-        tau: Share by which the targets follow in an update.
-        policy_delay: Critic updates per update of policy and targets.
-        critic_burn_in: Updates at the start in which the critics learn and the policy waits.
-        loss_function: The critics' loss.
-        reward_scale: Factor on the stored reward before the critics see it.
-        compiled: Compile the whole update into one graph.
-    """
-
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True
-    )
-
-    encoder: EncoderFactory = Concatenate
-    network: NetworkFactory = mlp
-    optimizer: OptimizerFactory = Adam
-    last_layer_bound: float = Field(0.0, ge=0)
-    actor_lr: float = Field(1e-3, gt=0)
-    critic_lr: float = Field(1e-3, gt=0)
-    gamma: float = Field(0.99, ge=0, lt=1)
-    tau: float = Field(0.005, gt=0, le=1)
-    policy_delay: int = Field(1, ge=1)
-    critic_burn_in: int = Field(0, ge=0)
-    loss_function: Literal["l2", "l1", "smooth_l1"] = "l2"
-    reward_scale: float = 1.0
-    compiled: bool = False
+@contextmanager
+def single_precision() -> Iterator[None]:
+    """TorchRL's losses draw noise in the process's default type; the networks are of float32."""
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float32)
+    try:
+        yield
+    finally:
+        torch.set_default_dtype(before)
 
 
 class Agent(nn.Module, ABC):
@@ -206,6 +170,7 @@ class Agent(nn.Module, ABC):
         """Seconds that compiling updates has taken so far."""
         return self._updates.compile_seconds
 
+    @single_precision()
     def update(self, batches: TensorDictBase) -> dict[str, Tensor]:
         """Take one gradient step per batch.
 

@@ -9,7 +9,7 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.objectives import DDPGLoss
 
-from rrl.algorithms.base import Agent
+from rrl.algorithms.base import Agent, single_precision
 from rrl.keys import ACTION
 
 __all__ = ["DDPG"]
@@ -24,6 +24,7 @@ class DDPG(Agent):
         arguments: ``symmetry``, and the fields of :class:`~rrl.algorithms.base.AgentSettings`.
     """
 
+    @single_precision()
     def __init__(self, inputs: Any, action_size: int, **arguments: Any) -> None:
         super().__init__(inputs, action_size, **arguments)
         network = nn.Sequential(self.make_actor(action_size), nn.Tanh())

@@ -18,9 +18,10 @@ from torch import Tensor, nn
 from torchrl.modules import TanhNormal
 from torchrl.objectives import SACLoss
 
-from rrl.algorithms.base import Agent, AgentSettings
+from rrl.algorithms.base import Agent, single_precision
 from rrl.algorithms.ensemble import EnsembleSACLoss
 from rrl.algorithms.networks import last_layer
+from rrl.algorithms.settings import AgentSettings
 from rrl.algorithms.td3 import EnsembleSettings
 from rrl.keys import ACTION
 
@@ -74,6 +75,7 @@ class SAC(Agent):
     settings: SACSettings
     temperature_optimizer: Any
 
+    @single_precision()
     def __init__(self, inputs: Any, action_size: int, **arguments: Any) -> None:
         super().__init__(inputs, action_size, **arguments)
         settings = self.settings

@@ -10,8 +10,9 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.objectives import TD3Loss
 
-from rrl.algorithms.base import Agent, AgentSettings
+from rrl.algorithms.base import Agent, single_precision
 from rrl.algorithms.ensemble import EnsembleTD3Loss
+from rrl.algorithms.settings import AgentSettings
 from rrl.keys import ACTION
 
 __all__ = ["TD3", "EnsembleSettings", "TD3Settings"]
@@ -73,6 +74,7 @@ class TD3(Agent):
     Settings: ClassVar[type[AgentSettings]] = TD3Settings
     settings: TD3Settings
 
+    @single_precision()
     def __init__(self, inputs: Any, action_size: int, **arguments: Any) -> None:
         super().__init__(inputs, action_size, **arguments)
         settings = self.settings

@@ -76,7 +76,7 @@ def rollout(
     for _ in range(max_steps):
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             td = step_mdp(
-                env.step(policy(td)),
+                env.step(policy(env.maybe_reset(td))),  # some refuse to step beyond an end
                 exclude_reward=False,
                 exclude_done=False,
                 exclude_action=False,

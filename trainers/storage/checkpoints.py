@@ -36,7 +36,7 @@ import torch
 from torchrl.checkpoint import Checkpoint, CheckpointAdapter, GlobalRNGState
 
 from .files import check_seal, lock, read_note, seal, sync
-from .plain_state import to_plain
+from .plain_state import from_plain, to_plain
 from .run_files import CHECKPOINTS
 
 log = logging.getLogger(__name__)
@@ -218,6 +218,5 @@ class _WeightsOnly(CheckpointAdapter):
         args: tuple[Any, ...],
         kwargs: Mapping[str, Any],
     ) -> Any:
-        component.load_state_dict(
-            torch.load(path / self.FILE, map_location="cpu", weights_only=True)
-        )
+        state = torch.load(path / self.FILE, map_location="cpu", weights_only=True)
+        component.load_state_dict(from_plain(state))

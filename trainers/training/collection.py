@@ -144,6 +144,8 @@ class InTurn(Collection):
         self._anneal(env_steps)  # rounds that were taken from the log
         data = self.collector.rollout()
         self._anneal(env_steps + self.settings.steps_per_round)
+        # Exploration modules draw in the process's default type; networks are of float32.
+        data.set(ACTION, data[ACTION].float())
         return data.reshape(self.settings.num_envs, -1)
 
     def _anneal(self, env_steps: int) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.collectors import Collector
@@ -72,7 +74,10 @@ class EpisodeInProgress:
 
 
 def goes_on_from_its_state(env: EnvBase) -> tuple[bool, bool]:
-    """Return whether it was tried, and whether an environment put back makes the same step again.
+    """Return whether it was tried, and whether an environment put back is where it was.
+
+    It is if it makes the same step again, and then reports the same state. The action is zero, or
+    nearest to it: whatever the environment drives, it stays near where it is.
 
     Nothing is tried on an environment that has no episode's state to give: one whose ``state_dict``
     is empty, or holds nothing but its modules' parameters and buffers.
@@ -89,10 +94,12 @@ def goes_on_from_its_state(env: EnvBase) -> tuple[bool, bool]:
         return env.step(root)["next"].clone()
 
     try:
+        before = copy.deepcopy(state)
         first = step()
         _put_back(env, state)
         second = step()
-        _put_back(env, state)
+        _put_back(env, before)
+        after = env.state_dict()
     except Exception as error:  # no way back, whatever the reason
         log.warning(
             "the environment's state cannot be restored (%s: %s); a resumed run begins an episode",
@@ -100,12 +107,7 @@ def goes_on_from_its_state(env: EnvBase) -> tuple[bool, bool]:
             error,
         )
         return True, False
-    same = [
-        torch.equal(value, second[key])
-        for key, value in first.items(True, True)
-        if isinstance(value, torch.Tensor)
-    ]
-    return True, all(same)
+    return True, _equal(first.to_dict(), second.to_dict()) and _equal(dict(after), before)
 
 
 def _put_back(env: EnvBase, state: Mapping[str, Any]) -> None:
@@ -120,6 +122,20 @@ def _put_back(env: EnvBase, state: Mapping[str, Any]) -> None:
     flags = vars(env).get("_shm_done_flags", ())
     for worker in range(len(flags)):
         flags[worker] = 0
+
+
+def _equal(a: Any, b: Any) -> bool:
+    if isinstance(a, Mapping):
+        return a.keys() == b.keys() and all(_equal(value, b[key]) for key, value in a.items())
+    if isinstance(a, (list, tuple)):
+        return len(a) == len(b) and all(map(_equal, a, b))
+    if isinstance(a, (torch.Tensor, np.ndarray)):
+        return np.array_equal(
+            np.asarray(a), np.asarray(b), equal_nan=np.asarray(a).dtype.kind in "fc"
+        )
+    if a is None or isinstance(a, (bool, int, float, str, bytes)):
+        return bool(a == b)
+    return type(a) is type(b)  # cannot be saved, and the first checkpoint will say so
 
 
 def _has_content(state: Any) -> bool:

@@ -245,7 +245,7 @@ class Drawn(Line):
     """Draws its starts from the process's own generators."""
 
     def _reset(self, tensordict=None, **kwargs):
-        self.t, self.x = 0, np.array([random.random(), np.random.rand() + torch.rand(()).item()])
+        self.t, self.x = 0, np.array([random.random(), np.random.rand() + torch.rand(()).item()])  # noqa: NPY002
         return TensorDict(self._observe(), [])
 
 

@@ -1,0 +1,50 @@
+"""Hyperparameters that all algorithms have."""
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from rrl.algorithms.networks import Concatenate, EncoderFactory, NetworkFactory, mlp
+from rrl.algorithms.optimizers import Adam, OptimizerFactory
+
+__all__ = ["AgentSettings"]
+
+
+class AgentSettings(BaseModel):
+    """Hyperparameters that all algorithms have.
+
+    Attributes:
+        encoder: Makes the module from the policy's inputs to features; one without parameters is
+            run once a batch, one with parameters is part of every network that reads it.
+        network: Makes the networks of actor and critics.
+        optimizer: Makes the optimizers.
+        last_layer_bound: The actor's output layer is drawn from ``U(-bound, bound)``; 0 makes an
+            untrained residual exactly zero.
+        actor_lr: Learning rate of the actor.
+        critic_lr: Learning rate of the critics.
+        gamma: Discount.
+        tau: Share by which the targets follow in an update.
+        policy_delay: Critic updates per update of policy and targets.
+        critic_burn_in: Updates at the start in which the critics learn and the policy waits.
+        loss_function: The critics' loss.
+        reward_scale: Factor on the stored reward before the critics see it.
+        compiled: Compile the whole update into one graph.
+    """
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True
+    )
+
+    encoder: EncoderFactory = Concatenate
+    network: NetworkFactory = mlp
+    optimizer: OptimizerFactory = Adam
+    last_layer_bound: float = Field(0.0, ge=0)
+    actor_lr: float = Field(1e-3, gt=0)
+    critic_lr: float = Field(1e-3, gt=0)
+    gamma: float = Field(0.99, ge=0, lt=1)
+    tau: float = Field(0.005, gt=0, le=1)
+    policy_delay: int = Field(1, ge=1)
+    critic_burn_in: int = Field(0, ge=0)
+    loss_function: Literal["l2", "l1", "smooth_l1"] = "l2"
+    reward_scale: float = 1.0
+    compiled: bool = False
