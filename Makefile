@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: train test test-slow test-ray lint docs controllers reproduce faults soak ablation benchmark clean
+.PHONY: train test test-slow test-ray lint docs controllers reproduce faults soak studies benchmark clean
 
 train: $(VENV)/installed            ## train residual TD3 on the misaligned insertion task, five seeds side by side
 	$(BIN)/rrl train trainer.num_seeds=5
@@ -38,13 +38,13 @@ faults: $(VENV)/installed           ## kill a training run a hundred times, resu
 soak: $(VENV)/installed             ## train for ten minutes and watch memory, files, threads and speed
 	$(BIN)/python -W ignore benchmarks/soak.py --minutes 10
 
-ablation: $(VENV)/installed         ## what every switch for sample efficiency does, added to td3 and removed from td3-ensemble
-	$(BIN)/python -W ignore benchmarks/ablation.py
+studies: $(VENV)/installed          ## every switch for sample efficiency, added to td3 and removed from td3-ensemble; fast settings against plain
+	cd benchmarks/studies && $(abspath $(BIN))/rrl reproduce added removed fast
 
 benchmark: $(VENV)/installed        ## training speed against Stable-Baselines3, SBX, CleanRL's and TorchRL's TD3
 	$(BIN)/pip install --disable-pip-version-check --quiet --constraint constraints.txt --editable ".[benchmark]"
 	$(BIN)/python -W ignore -m benchmarks.speed
-	$(BIN)/python -W ignore -m benchmarks.speed --seeds 10
+	$(BIN)/python -W ignore -m benchmarks.speed --runs 2
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)

@@ -24,7 +24,6 @@ from pathlib import Path
 
 SETTINGS = [
     "env=insertion-sim",
-    "trainer.num_seeds=2",
     "trainer.total_steps=100000000",
     "trainer.warmup_steps=200",
     "trainer.buffer_capacity=2000",  # full after a few seconds: from then on nothing has a reason to grow
@@ -34,7 +33,7 @@ SETTINGS = [
     "trainer.checkpoint.every=500",
     "logger=[csv,tensorboard]",
     "algorithm=td3",
-    "algorithm.agent.hidden=[64,64]",
+    "algorithm.agent.network.hidden=[64,64]",
     "render.enabled=false",
 ]
 MEMORY_SLACK = 24.0
@@ -56,7 +55,7 @@ class Sample:
     files: dict[str, str]  # descriptor to what it is open on
     threads: int
     cpu: float  # seconds
-    speed: float = 0.0  # environment steps of one seed per second
+    speed: float = 0.0  # environment steps per second
     cpu_speed: float = (
         0.0  # and per second of this process's own time, which others on the machine disturb less
     )
@@ -154,13 +153,10 @@ def main() -> int:
         parser.error(
             f"expected at least four windows of {arguments.window:g} s, got {arguments.minutes:g} minutes"
         )
-    from hydra import compose, initialize_config_module
-    from omegaconf import OmegaConf
-
+    from rrl.trainers.cli.compose import compose
     from rrl.trainers.configuration import build as assembly
 
-    with initialize_config_module("rrl.configs", version_base="1.3"):
-        config = OmegaConf.to_container(compose("train", overrides=SETTINGS), resolve=True)
+    config = compose(SETTINGS)
     with (
         tempfile.TemporaryDirectory() as folder,
         assembly.trainer(config, Path(folder) / "run") as trainer,

@@ -1,7 +1,7 @@
 """``make benchmark``: every contender in turn, round after round, on the same task with the same settings.
 
     python -m benchmarks.speed                       # one run on all cores, three rounds
-    python -m benchmarks.speed --seeds 10            # ten seeds: peers in two processes of one thread each
+    python -m benchmarks.speed --runs 2              # two runs side by side, processes of one thread each
     python -m benchmarks.speed --success 0.9         # also the time until 90 % of the frozen episodes are solved, here
                                                      # of `rrl train` as it comes, too; round k trains seed k
     python -m benchmarks.speed env=insertion-sim     # an override of `rrl train`, for all
@@ -33,27 +33,20 @@ NEEDS = {"sb3": "stable_baselines3", "sbx": "sbx"}
 PEERS = ["sb3", "sbx", "cleanrl", "torchrl"]
 
 
-def plan(seeds: int) -> dict[str, list[list[str]]]:
+def plan(runs: int) -> dict[str, list[list[str]]]:
     """The processes of every contender, as arguments of :mod:`.contenders`."""
-    peers = {name: [name] for name in PEERS if importlib.util.find_spec(NEEDS.get(name, "torch"))}
-    if seeds == 1:
-        return {
-            "rrl": [["rrl"]],
-            "rrl-plain": [["rrl-plain"]],
-            **{name: [args] for name, args in peers.items()},
-        }
-    half = seeds // 2
-    stacks = [  # as many processes as the peers'
-        ["rrl", "--stack", str(half), "--seed", str(first), "trainer.overlap=false"]
-        for first in (0, half)
-    ]
-    pairs = {name: [[*args, "--seed", str(k)] for k in range(2)] for name, args in peers.items()}
-    stack = ["rrl", "--stack", str(seeds), "trainer.overlap=false"]
-    return {"rrl-stack": [stack], "rrl-stacks": stacks, **pairs}
+    peers = [name for name in PEERS if importlib.util.find_spec(NEEDS.get(name, "torch"))]
+    if runs == 1:
+        return {name: [[name]] for name in ("rrl", "rrl-plain", *peers)}
+    in_turn = {"rrl": ["trainer.overlap=false"]}  # a process that collects would be one too many
+    return {
+        name: [[name, "--seed", str(k), *in_turn.get(name, [])] for k in range(runs)]
+        for name in ("rrl", *peers)
+    }
 
 
 def run(processes: list[list[str]], common: list[str]) -> dict[str, Any]:
-    """Run a contender's processes side by side; seed-steps a second of all together."""
+    """Run a contender's processes side by side; steps a second of all together."""
     threads = str(max(1, cores() // len(processes)))
     environment = {**os.environ, "OMP_NUM_THREADS": threads, "MKL_NUM_THREADS": threads}
     command = [sys.executable, "-W", "ignore", "-m", "benchmarks.speed.contenders"]
@@ -69,11 +62,9 @@ def run(processes: list[list[str]], common: list[str]) -> dict[str, Any]:
             f"{processes[0][0]} failed with {[process.returncode for process in started]}"
         )
     found = [json.loads(output.splitlines()[-1]) for output in outputs]
-    stacks = [int(a[a.index("--stack") + 1]) if "--stack" in a else 1 for a in processes]
-    pairs = list(zip(found, stacks, strict=True))
     return {
-        "steps_per_second": sum(m["steps_per_second"] * stack for m, stack in pairs),
-        "processor_ms_per_step": 1 / sum(stack / m["processor_ms_per_step"] for m, stack in pairs),
+        "steps_per_second": sum(m["steps_per_second"] for m in found),
+        "processor_ms_per_step": 1 / sum(1 / m["processor_ms_per_step"] for m in found),
         "first_update_s": max(m["first_update_s"] for m in found),
         "peak_mb": sum(m["peak_mb"] for m in found),
         "curve": found[0]["curve"],
@@ -88,7 +79,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--steps", type=int, default=3000, help="environment steps of one seed")
     parser.add_argument("--warmup", type=int, default=500, help="of them before the first update")
-    parser.add_argument("--seeds", type=int, default=1, choices=(1, 10))
+    parser.add_argument("--runs", type=int, default=1, help="side by side")
     parser.add_argument(
         "--success",
         type=float,
@@ -98,14 +89,14 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("outputs/benchmark"))
     parser.add_argument("overrides", nargs="*")
     options = parser.parse_intermixed_args()
-    if options.success and options.seeds > 1:
-        sys.exit("--success looks at one seed a round: expected --seeds 1")
+    if options.success and options.runs > 1:
+        sys.exit("--success looks at one seed a round: expected --runs 1")
     if options.success:  # with the warm-up that belongs to each algorithm
         common = ["trainer.total_steps=10000", "--every", "1000"]
     else:
         common = [f"trainer.total_steps={options.steps}", f"trainer.warmup_steps={options.warmup}"]
     common += options.overrides
-    contenders = plan(options.seeds) | (
+    contenders = plan(options.runs) | (
         {"rrl-default": [["rrl-default"]]} if options.success else {}
     )
     if options.only:
@@ -125,10 +116,14 @@ def main() -> None:
             console.print(f"round {number + 1}: {name} {speed:.0f} steps/s", highlight=False)
     options.out.mkdir(parents=True, exist_ok=True)
     text = table(rounds, options.success)
-    name = f"speed_{options.seeds}_seed{'s' if options.seeds > 1 else ''}"
+    name = f"speed_{options.runs}_run{'s' if options.runs > 1 else ''}"
     (options.out / f"{name}.md").write_text(text + "\n", encoding="utf-8")
     (options.out / f"{name}.json").write_text(json.dumps(rounds, indent=1), encoding="utf-8")
-    chart(rounds, "one run" if options.seeds == 1 else f"{options.seeds} seeds", options.out / name)
+    chart(
+        rounds,
+        "one run" if options.runs == 1 else f"{options.runs} runs side by side",
+        options.out / name,
+    )
     console.print(Markdown(text))
 
 

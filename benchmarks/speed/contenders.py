@@ -38,9 +38,9 @@ def ours(config: Config, options: argparse.Namespace, meter: Meter) -> None:
     from rrl.trainers.configuration import build as assembly
 
     trainer = assembly.trainer(config, Path(tempfile.mkdtemp()))
-    process = getattr(trainer.experience, "_process", None)
+    process = getattr(trainer.collection, "_process", None)
     meter.processes = [] if process is None else [process.pid]
-    one_round, evaluate = trainer._round, trainer.evaluator.during_training
+    one_round, compare = trainer._round, trainer.evaluator.compare
 
     def observed() -> None:
         one_round()
@@ -48,12 +48,11 @@ def ours(config: Config, options: argparse.Namespace, meter: Meter) -> None:
 
     def evaluated(*args: Any) -> Any:
         start = time.perf_counter()
-        scenario, comparisons = evaluate(*args)
-        rates = [comparison.summary()["success"] for comparison in comparisons]
-        meter.evaluated(float(np.mean(rates)), time.perf_counter() - start)
-        return scenario, comparisons
+        comparison = compare(*args)
+        meter.evaluated(comparison.summary()["success"], time.perf_counter() - start)
+        return comparison
 
-    trainer._round, trainer.evaluator.during_training = observed, evaluated  # type: ignore[method-assign]
+    trainer._round, trainer.evaluator.compare = observed, evaluated  # type: ignore[method-assign]
     with trainer:
         trainer.run()
 
@@ -100,9 +99,9 @@ def stable_baselines(
         gradient_steps=1,
         policy_delay=agent["policy_delay"],
         action_noise=NormalActionNoise(
-            np.zeros(3), np.full(3, config["algorithm"]["exploration"]["sigma"])
+            np.zeros(3), np.full(3, config["algorithm"]["exploration"]["sigma_init"])
         ),
-        policy_kwargs={"net_arch": list(agent["hidden"])},
+        policy_kwargs={"net_arch": list(agent["network"]["hidden"])},
         seed=trainer["seed"],
         **(smoothing if library == "sb3" else {}),
     )
@@ -130,7 +129,7 @@ def cleanrl(config: Config, options: argparse.Namespace, meter: Meter) -> None:
     total, batch, sigma = (
         trainer["total_steps"],
         trainer["batch_size"],
-        config["algorithm"]["exploration"]["sigma"],
+        config["algorithm"]["exploration"]["sigma_init"],
     )
     observations, following = (np.empty((total, size), np.float32) for _ in range(2))
     actions, rewards = np.empty((total, 3), np.float32), np.empty((total, 1), np.float32)
@@ -207,7 +206,6 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("name", choices=CONTENDERS)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--stack", type=int, default=1, help="seeds in this process (rrl only)")
     parser.add_argument("--every", type=int, default=0, help="steps between evaluations; 0: none")
     parser.add_argument("--episodes", type=int, default=50)
     parser.add_argument("overrides", nargs="*")
@@ -217,7 +215,6 @@ def main() -> None:
     config = configuration(
         [
             f"trainer.seed={options.seed}",
-            f"trainer.num_seeds={options.stack}",
             f"trainer.evaluation.every={options.every}",
             f"trainer.evaluation.episodes={options.episodes if options.every else 1}",
             "trainer.evaluation.final_episodes=1",

@@ -15,7 +15,7 @@ class Networks:
 
     def __init__(self, agent: dict[str, Any], inputs: int) -> None:
         def mlp(size: int, out: int, *last: nn.Module) -> nn.Sequential:
-            sizes = [size, *agent["hidden"]]
+            sizes = [size, *agent["network"]["hidden"]]
             hidden = [m for a, b in pairwise(sizes) for m in (nn.Linear(a, b), nn.ReLU())]
             return nn.Sequential(*hidden, nn.Linear(sizes[-1], out), *last)
 

@@ -17,8 +17,6 @@ LABELS = {
     "rrl": "rrl",
     "rrl-plain": "rrl, plain settings",
     "rrl-default": "rrl, its default algorithm",
-    "rrl-stack": "rrl, one process",
-    "rrl-stacks": "rrl, two processes",
     "sb3": "Stable-Baselines3",
     "sbx": "SBX (JAX)",
     "cleanrl": "CleanRL style",

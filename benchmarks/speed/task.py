@@ -11,15 +11,13 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from hydra import compose, initialize_config_module
-from omegaconf import OmegaConf
 
 from rrl.envs.insertion import quantities
 from rrl.envs.insertion.config import make_config
 from rrl.envs.insertion.physics.control import set_points
 from rrl.envs.insertion.physics.simulation import BatchSimulation
 from rrl.envs.insertion.physics.start import draw_episode
-from rrl.trainers.cli.compose import plain_name
+from rrl.trainers.cli.compose import compose
 
 Config = dict[str, Any]
 
@@ -27,12 +25,7 @@ Config = dict[str, Any]
 def configuration(overrides: list[str], algorithm: str | None = "td3") -> Config:
     """The configuration of ``rrl train`` with ``overrides``, by default with the algorithm that all libraries have."""
     chosen = [] if algorithm is None else [f"algorithm={algorithm}"]
-    OmegaConf.register_new_resolver("plain", plain_name, replace=True)
-    with initialize_config_module("rrl.configs", version_base="1.3"):
-        config = compose("train", overrides=["logger=[csv]", *chosen, *overrides])
-    container = OmegaConf.to_container(config, resolve=True)
-    assert isinstance(container, dict)
-    return {str(key): value for key, value in container.items()}
+    return compose(["logger=[csv]", *chosen, *overrides])
 
 
 class PlainInsertion(gymnasium.Env[np.ndarray, np.ndarray]):

@@ -12,6 +12,7 @@ from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
 from torchrl.collectors import Collector
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.envs import CatTensors, EnvBase, ObservationNorm
 from torchrl.modules import AdditiveGaussianModule
 from torchrl.objectives import SoftUpdate, TD3Loss
 from torchrl.trainers.algorithms.td3 import TD3OptimizationStepper, TD3Trainer
@@ -19,6 +20,7 @@ from torchrl.trainers.algorithms.td3 import TD3OptimizationStepper, TD3Trainer
 from benchmarks.speed.meter import Meter
 from benchmarks.speed.networks import Networks
 from benchmarks.speed.task import Config
+from rrl.trainers import EnvironmentFactory
 
 
 def td3_trainer(config: Config, options: argparse.Namespace, meter: Meter) -> None:
@@ -30,10 +32,10 @@ def td3_trainer(config: Config, options: argparse.Namespace, meter: Meter) -> No
         config["trainer"],
         config["trainer"]["steps_per_collection"],
     )
-    env = assembly.environment(config).make(1)
+    env = _environment(assembly.environment(config))
     env.set_seed(trainer["seed"])
     loss = _loss(agent, Networks(agent, env.observation_spec["observation"].shape[-1]))
-    sigma = config["algorithm"]["exploration"]["sigma"]
+    sigma = config["algorithm"]["exploration"]["sigma_init"]
     explore = AdditiveGaussianModule(
         env.action_spec, sigma_init=sigma, sigma_end=sigma, annealing_num_steps=1
     )
@@ -76,6 +78,17 @@ def td3_trainer(config: Config, options: argparse.Namespace, meter: Meter) -> No
     learner.register_op("batch_process", needed)
     learner.register_op("post_steps", lambda: meter.step(learner.collected_frames))
     learner.train()
+
+
+def _environment(factory: EnvironmentFactory) -> EnvBase:
+    """Our environment with the normalized inputs as one ``observation``."""
+    env = factory.make(1)
+    inputs = factory.read_inputs(env)
+    for key, entry in inputs.items():
+        loc, scale = entry.column("loc"), 1 / entry.column("scale")
+        env.append_transform(ObservationNorm(loc, scale, in_keys=[key], standard_normal=True))
+    env.append_transform(CatTensors(list(inputs), "observation", del_keys=False))
+    return env
 
 
 def _loss(agent: dict[str, Any], nets: Networks) -> TD3Loss:

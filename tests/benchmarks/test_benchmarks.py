@@ -1,0 +1,39 @@
+"""The studies fit today's configuration, and every contender still trains."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rrl.trainers.cli.compose import compose
+from rrl.trainers.configuration import build
+from rrl.trainers.experiments.plan import plan_points
+from rrl.trainers.experiments.spec import load_experiments, load_settings
+
+ROOT = Path(__file__).parents[2]
+STUDIES = ROOT / "benchmarks/studies/configs"
+NEEDS = {"sb3": "stable_baselines3", "sbx": "sbx"}
+
+
+@pytest.mark.parametrize("study", sorted(p.stem for p in (STUDIES / "experiment").glob("*.yaml")))
+def test_a_study_fits_the_configuration(study):
+    points = plan_points(
+        load_experiments([study], [STUDIES]), load_settings([STUDIES], {}), compose
+    )
+    assert len({point.key for point in points}) == len(points), "two arms are the same"
+    for point in points:
+        build.check(point.config)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["rrl", "rrl-plain", "rrl-default", "cleanrl", "torchrl", *NEEDS])
+def test_a_contender_trains(name):
+    pytest.importorskip(NEEDS.get(name, "rrl"))
+    settings = ["env=insertion-sim", "trainer.total_steps=500", "trainer.warmup_steps=100"]
+    command = [sys.executable, "-W", "ignore", "-m", "benchmarks.speed.contenders", name, *settings]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    measured = json.loads(done.stdout.splitlines()[-1])
+    assert measured["steps_per_second"] > 0
