@@ -20,6 +20,7 @@ from rrl.inputs import Input
 from rrl.keys import ACTION, BASE_ACTION, DIVERGED, PREVIOUS_ACTION, SUCCESS
 from rrl.symmetry import Symmetry, as_map
 from rrl.transforms import ActionHistory, ResidualAction
+from rrl.transforms.base.action_bounds import limits_of
 
 from .entry_checks import check_action, check_number, check_reported
 from .worker_errors import WorkerErrors
@@ -105,7 +106,8 @@ class EnvironmentFactory:
             ``native``, else without arguments.
         controller: Makes a controller.
         inputs: The observation entries that the policy reads, in this order, and how each is
-            normalized; a plain list of names leaves them as they are. Beside the environment's own
+            normalized; of a plain list of names all are standardized by the first episodes, unless
+            there are ``symmetries``. Beside the environment's own
             there are ``base_action`` and ``previous_action``, what the policy said in the last
             ``action_history`` steps.
         disturbances: Make the transforms of the executed action (control noise).
@@ -130,7 +132,7 @@ class EnvironmentFactory:
     disturbances: Sequence[Callable[[], Transform]] = ()
     sensing: Sequence[Callable[[], Transform]] = ()
     safety: Sequence[Callable[[], Transform]] = ()
-    residual_scale: float | Sequence[float] = 1.0
+    residual_scale: float | Sequence[float] = 0.5
     batching: Batching = "native"
     max_episode_steps: int = 1000
     action_history: int = 1
@@ -188,7 +190,7 @@ class EnvironmentFactory:
             check_number(f"inputs.{name}", spec[name])
         inputs = {
             name: replace(entry, shape=tuple(spec[name].shape[env.ndim :]))
-            for name, entry in self._inputs().items()
+            for name, entry in (self._inputs() | self._action_inputs(env)).items()
         }
         for name, entry in inputs.items():
             for column in ("loc", "scale"):
@@ -231,6 +233,21 @@ class EnvironmentFactory:
                 f"got {entry.scale}"
             )
         return maps[key]
+
+    def _action_inputs(self, env: EnvBase) -> dict[str, Input]:
+        """Return the inputs that are actions, in half ranges if nothing else is said."""
+        inputs = self._inputs()
+        limits = limits_of(env.base_env.full_action_spec[ACTION])
+        half_range = limits.half_range.reshape(-1, limits.half_range.shape[-1])[0]
+        scales: dict[str, list[float] | float] = {
+            BASE_ACTION: (1.0 / half_range).tolist(),
+            PREVIOUS_ACTION: 1.0,
+        }
+        return {
+            name: replace(inputs[name], scale=scale)
+            for name, scale in scales.items()
+            if name in inputs and inputs[name].is_derived
+        }
 
     def _inputs(self) -> dict[str, Input]:
         if isinstance(self.inputs, Mapping):

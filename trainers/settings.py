@@ -10,6 +10,8 @@ from typing import Annotated, Any, ClassVar, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from rrl.algorithms.calibration import warmup_length
+
 from .seeds import MAX_SEED
 
 __all__ = [
@@ -125,7 +127,8 @@ class TrainerSettings(_Settings):
         num_envs: Environments that the learner collects from.
         device: Where networks and replay buffer lie, such as ``cpu`` or ``cuda``.
         total_steps: Environment steps of the run.
-        warmup_steps: Environment steps before the first update.
+        warmup_steps: Environment steps before the first update; None: five episodes and 300 steps,
+            but no more than a tenth of the run.
         warmup_exploration: Whether exploration noise acts during the warm-up; without it the buffer
             starts with the controller's own episodes.
         steps_per_collection: Steps of each environment between two rounds of updates.
@@ -152,7 +155,7 @@ class TrainerSettings(_Settings):
     num_envs: Positive = IN_YAML
     device: str = IN_YAML
     total_steps: NonNegative = IN_YAML
-    warmup_steps: NonNegative = IN_YAML
+    warmup_steps: NonNegative | None = IN_YAML
     warmup_exploration: bool = IN_YAML
     steps_per_collection: Positive = IN_YAML
     updates_per_step: Annotated[float, Field(gt=0)] = IN_YAML
@@ -177,13 +180,25 @@ class TrainerSettings(_Settings):
         """Updates after each collection."""
         return round(self.steps_per_round * self.updates_per_step)
 
+    def derived(self, episode_steps: int) -> TrainerSettings:
+        """Return the settings with a length of the warm-up, derived if there is none.
+
+        Args:
+            episode_steps: Steps of an episode.
+        """
+        if self.warmup_steps is not None:
+            return self
+        steps = warmup_length(episode_steps, self.total_steps, self.steps_per_round)
+        return self.model_copy(update={"warmup_steps": steps})
+
     @model_validator(mode="after")
     def _check(self) -> TrainerSettings:
         per_round = f"steps_per_collection x num_envs ({self.steps_per_round})"
-        if self.total_steps and self.warmup_steps >= self.total_steps:
+        warmup = self.warmup_steps
+        if self.total_steps and warmup is not None and warmup >= self.total_steps:
             raise ValueError(
                 f"warmup_steps: expected less than total_steps ({self.total_steps}), or nothing is "
-                f"learned, got {self.warmup_steps}"
+                f"learned, got {warmup}"
             )
         if abs(self.steps_per_round * self.updates_per_step - self.updates_per_round) > 1e-9:
             raise ValueError(

@@ -1,11 +1,11 @@
 """Learners from TorchRL's losses, and what they are configured with."""
 
-from rrl.algorithms.base import Agent, no_exploration
+from rrl.algorithms.base import Agent
 from rrl.algorithms.ddpg import DDPG
 from rrl.algorithms.ensemble import EnsembleSACLoss, EnsembleTD3Loss
 from rrl.algorithms.networks import Concatenate, mlp
 from rrl.algorithms.optimizers import Adam, TorchOptimizer
-from rrl.algorithms.sac import SAC
+from rrl.algorithms.sac import SAC, no_exploration
 from rrl.algorithms.settings import AgentSettings
 from rrl.algorithms.td3 import TD3
 

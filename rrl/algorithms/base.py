@@ -4,40 +4,31 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from typing import Any, ClassVar
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
-from torchrl.data import TensorSpec
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import LossModule, SoftUpdate
 from torchrl.objectives.utils import ValueEstimators
 
+from rrl.algorithms.calibration import discount, reward_factor
 from rrl.algorithms.networks import EncodedNetwork, last_layer
+from rrl.algorithms.precision import single_precision
 from rrl.algorithms.settings import AgentSettings
 from rrl.algorithms.symmetric_actor import SymmetricActor
+from rrl.algorithms.transfer import take_over
 from rrl.algorithms.updates import Step, Updates
 from rrl.inputs import Input
 from rrl.keys import ACTION, OBSERVATION
 from rrl.symmetry import Symmetry
 
-__all__ = ["Agent", "no_exploration", "single_precision"]
+__all__ = ["Agent"]
 
 UPDATES_PER_GRAPH = 4
 """At most: every further one saves less time in a call and takes as long to compile."""
-
-
-@contextmanager
-def single_precision() -> Iterator[None]:
-    """TorchRL's losses draw noise in the process's default type; the networks are of float32."""
-    before = torch.get_default_dtype()
-    torch.set_default_dtype(torch.float32)
-    try:
-        yield
-    finally:
-        torch.set_default_dtype(before)
 
 
 class Agent(nn.Module, ABC):
@@ -52,6 +43,7 @@ class Agent(nn.Module, ABC):
         action_size: Size ``m`` of the action; the policy's action lies in [-1, 1].
         symmetry: Of features and action; the learner then learns from randomly chosen mirror images
             of its transitions, and acts as the mean over all images.
+        episode_steps: Steps of an episode, from which a discount of None is derived.
         settings: See the class's ``Settings``.
 
     Raises:
@@ -63,6 +55,8 @@ class Agent(nn.Module, ABC):
     encoder: Any
     critic_optimizer: Any
     actor_optimizer: Any
+    reward_scale: Tensor
+    """Factor on the stored reward, a scalar."""
     policy: TensorDictModuleBase
     """From the inputs ``[*batch, *shape]`` to ``action`` [*batch, m] in [-1, 1]."""
 
@@ -72,10 +66,14 @@ class Agent(nn.Module, ABC):
         action_size: int,
         *,
         symmetry: Symmetry | None = None,
+        episode_steps: int | None = None,
         **settings: Any,
     ) -> None:
         super().__init__()
         self.settings = self.Settings(**settings)
+        self.gamma = self._discount(episode_steps)
+        self.is_calibrated = False
+        self.register_buffer("reward_scale", torch.tensor(self.settings.reward_scale or 1.0))
         self.inputs = {
             key: Input(shape=(entry,)) if isinstance(entry, int) else entry
             for key, entry in inputs.items()
@@ -136,7 +134,7 @@ class Agent(nn.Module, ABC):
     ) -> None:
         """Take over the loss, and make optimizers and targets for it."""
         self.loss = loss
-        self.loss.make_value_estimator(ValueEstimators.TD0, gamma=self.settings.gamma)
+        self.loss.make_value_estimator(ValueEstimators.TD0, gamma=self.gamma)
         self.soft_update = SoftUpdate(self.loss, tau=self.settings.tau)
         self._critic_params = list(critic_params.values(True, True))
         self._actor_params = list(actor_params.values(True, True))
@@ -146,22 +144,39 @@ class Agent(nn.Module, ABC):
         self._updates = Updates(self, self.settings.compiled)
 
     def start_from(self, other: Agent) -> None:
-        """Take over networks, targets and temperature of ``other``; all else stays as it is.
+        """Take over networks, targets and temperature of ``other``, and what it has derived.
 
         Raises:
             ValueError: If ``other`` is of another algorithm or has networks of other sizes.
         """
-        given, own = _learned(other.loss), _learned(self.loss)
-        for name in sorted(given.keys() | own.keys()):
-            shapes = [tuple(d[name].shape) if name in d else None for d in (own, given)]
-            if shapes[0] != shapes[1]:
-                raise ValueError(
-                    f"initial weights: expected {type(self).__name__} with {name} of {shapes[0]}, "
-                    f"got {type(other).__name__} with {shapes[1]}"
-                )
-        with torch.no_grad():
-            for name, value in own.items():
-                value.copy_(given[name])
+        take_over(self, other)
+
+    @torch.no_grad()
+    def calibrate(self, transitions: TensorDictBase, n_step: int = 1) -> dict[str, Any]:
+        """Derive what is not set from the first transitions, before anything is learned from them.
+
+        Args:
+            transitions: ``[n]``, as for :meth:`update`.
+            n_step: How many rewards each of them sums.
+
+        Returns:
+            ``gamma``, ``reward_scale`` and, of every input that was standardized, center and scale.
+        """
+        settings, inputs = self.settings, dict[NestedKey, Any]()
+        if settings.reward_scale is None:
+            rewards = transitions["next", "reward"].flatten()
+            self.reward_scale.fill_(reward_factor(rewards, self.gamma, n_step))
+        if self.symmetry is None and hasattr(self.encoder, "calibrate"):
+            inputs = self.encoder.calibrate(*(transitions[key] for key in self.inputs))
+        self.is_calibrated = True
+        return {"gamma": self.gamma, "reward_scale": float(self.reward_scale), "inputs": inputs}
+
+    def _discount(self, episode_steps: int | None) -> float:
+        if self.settings.gamma is not None:
+            return self.settings.gamma
+        if episode_steps is None:
+            raise ValueError("gamma: expected a number, or episode_steps to derive it from")
+        return discount(episode_steps)
 
     # ---------------------------------------------------------------- learning
 
@@ -207,7 +222,7 @@ class Agent(nn.Module, ABC):
         following = batches.get("next")
         out = batches.exclude("next", *self.inputs)
         out_next = following.exclude(*self.inputs)
-        out_next.set("reward", following["reward"] * self.settings.reward_scale)
+        out_next.set("reward", following["reward"] * self.reward_scale)
         for target, part in ((out, batches), (out_next, following)):
             for key, value in read(part).items():
                 target.set(key, value)
@@ -257,26 +272,31 @@ class Agent(nn.Module, ABC):
     def _critic_and_policy_step(self, batch: TensorDictBase) -> dict[str, Tensor]:
         metrics = self._critic_step(batch)
         loss, info = self.actor_loss(batch)
+        if self.settings.residual_penalty:
+            square = self._residual(batch).square().sum(-1).mean()
+            loss = loss + self.settings.residual_penalty * square
+            info = {**info, "residual_square": square.detach()}
         self.actor_optimizer.step(torch.autograd.grad(loss, self._actor_params))
         self.soft_update.step()
         return metrics | {"loss_actor": loss.detach(), **info}
+
+    def _residual(self, batch: TensorDictBase) -> Tensor:
+        """Return the policy's action without exploration, ``[B, m]``."""
+        loss: Any = self.loss
+        acting = batch.select(*self.read_keys)
+        with (
+            set_exploration_type(ExplorationType.DETERMINISTIC),
+            loss.actor_network_params.to_module(loss.actor_network),
+        ):
+            return loss.actor_network(acting)[ACTION]
 
     # ---------------------------------------------------------------- state
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return what a checkpoint needs beyond tensors."""
-        return {"num_updates": self.num_updates}
+        return {"num_updates": self.num_updates, "is_calibrated": self.is_calibrated}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore :meth:`get_extra_state`."""
         self.num_updates = state["num_updates"]
-
-
-def no_exploration(spec: TensorSpec) -> None:
-    """Make no exploration module: for policies that are stochastic themselves, such as SAC's."""
-
-
-def _learned(loss: LossModule) -> dict[str, Tensor]:
-    """Return what a loss has learned: not its discount, nor what it is told to aim at."""
-    state = loss.state_dict()
-    return {k: v for k, v in state.items() if "_params." in k or k == "log_alpha"}
+        self.is_calibrated = state["is_calibrated"]

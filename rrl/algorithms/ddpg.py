@@ -9,7 +9,8 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.objectives import DDPGLoss
 
-from rrl.algorithms.base import Agent, single_precision
+from rrl.algorithms.base import Agent
+from rrl.algorithms.precision import single_precision
 from rrl.keys import ACTION
 
 __all__ = ["DDPG"]

@@ -9,6 +9,7 @@ import torch
 from tensordict import NestedKey
 from torch import Tensor, nn
 
+from rrl.algorithms.calibration import standardization
 from rrl.inputs import Input
 
 __all__ = [
@@ -83,8 +84,14 @@ def mlp(
     return _MLP(*layers, Linear(width, out_features))
 
 
+FEATURE_LIMIT = 10.0
+"""Standard deviations at which a standardized number is clipped."""
+
+
 class Concatenate(nn.Module):
     """The default encoder: flatten, normalize and concatenate all inputs.
+
+    Entries without center and scale are left as they are until :meth:`calibrate`.
 
     Args:
         inputs: Observation entries with shape, center and scale.
@@ -95,6 +102,7 @@ class Concatenate(nn.Module):
 
     loc: Tensor
     scale: Tensor
+    limit: Tensor
 
     def __init__(self, inputs: Inputs) -> None:
         super().__init__()
@@ -105,10 +113,33 @@ class Concatenate(nn.Module):
                     parts.append(entry.column(field))
                 except (ValueError, TypeError) as error:
                     raise ValueError(f"inputs.{key}.{error}") from error
+        self._inputs = dict(inputs)
         self._shapes = [entry.shape for entry in inputs.values()]
         for field, parts in columns.items():
-            self.register_buffer(field, torch.cat(parts), persistent=False)
+            self.register_buffer(field, torch.cat(parts))
+        self.register_buffer("limit", torch.full_like(self.loc, torch.inf))
         self.out_features = self.loc.numel()
+
+    def calibrate(self, *values: Tensor) -> dict[NestedKey, dict[str, list[float]]]:
+        """Standardize the entries that have neither center nor scale.
+
+        Args:
+            values: Of every entry ``[n, *shape]``.
+
+        Returns:
+            Center and scale of the entries that were standardized.
+        """
+        found: dict[NestedKey, dict[str, list[float]]] = {}
+        first = 0
+        for (key, entry), value in zip(self._inputs.items(), values, strict=True):
+            part = slice(first, first + entry.size)
+            first += entry.size
+            if entry.is_derived:
+                loc, scale = standardization(value.reshape(len(value), -1))
+                self.loc[part], self.scale[part] = loc.to(self.loc), scale.to(self.scale)
+                self.limit[part] = FEATURE_LIMIT
+                found[key] = {"loc": loc.tolist(), "scale": scale.tolist()}
+        return found
 
     def forward(self, *values: Tensor) -> Tensor:
         """Return features ``[*batch, n]`` of entries ``[*batch, *shape]``."""
@@ -117,7 +148,7 @@ class Concatenate(nn.Module):
             for value, shape in zip(values, self._shapes, strict=True)
         ]
         joined = torch.cat(flat, -1) if len(flat) > 1 else flat[0]
-        return (joined - self.loc) * self.scale
+        return ((joined - self.loc) * self.scale).clamp(-self.limit, self.limit)
 
 
 class EncodedNetwork(nn.Module):

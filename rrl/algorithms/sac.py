@@ -15,17 +15,19 @@ from tensordict.nn import (
     TensorDictModule,
 )
 from torch import Tensor, nn
+from torchrl.data import TensorSpec
 from torchrl.modules import TanhNormal
 from torchrl.objectives import SACLoss
 
-from rrl.algorithms.base import Agent, single_precision
+from rrl.algorithms.base import Agent
 from rrl.algorithms.ensemble import EnsembleSACLoss
 from rrl.algorithms.networks import last_layer
+from rrl.algorithms.precision import single_precision
 from rrl.algorithms.settings import AgentSettings
 from rrl.algorithms.td3 import EnsembleSettings
 from rrl.keys import ACTION
 
-__all__ = ["SAC", "SACSettings"]
+__all__ = ["SAC", "SACSettings", "no_exploration"]
 
 LOG_STD_RANGE = (-5.0, 2.0)
 DISTRIBUTION_KEYS = {"loc": "_loc", "scale": "_scale"}
@@ -129,3 +131,7 @@ class SAC(Agent):
         tuning = self.loss.alpha_loss(info["log_prob"]).mean()
         self.temperature_optimizer.step(torch.autograd.grad(tuning, [self.loss.log_alpha]))
         return loss, {"entropy": -info["log_prob"].mean(), "temperature": temperature}
+
+
+def no_exploration(spec: TensorSpec) -> None:
+    """Make no exploration module: for policies that are stochastic themselves, such as SAC's."""

@@ -22,12 +22,16 @@ class AgentSettings(BaseModel):
             untrained residual exactly zero.
         actor_lr: Learning rate of the actor.
         critic_lr: Learning rate of the critics.
-        gamma: Discount.
+        gamma: Discount; None: derived from the episode's length.
         tau: Share by which the targets follow in an update.
         policy_delay: Critic updates per update of policy and targets.
         critic_burn_in: Updates at the start in which the critics learn and the policy waits.
         loss_function: The critics' loss.
-        reward_scale: Factor on the stored reward before the critics see it.
+        reward_scale: Factor on the stored reward before the critics see it; None: derived from the
+            first transitions, so that rewards of any size are learned from alike.
+        residual_penalty: Weight of the action's square in the policy's loss. With a derived
+            ``reward_scale`` values lie a few units apart; a residual must then gain that much to be
+            worth its size.
         compiled: Compile the whole update into one graph.
     """
 
@@ -41,10 +45,11 @@ class AgentSettings(BaseModel):
     last_layer_bound: float = Field(0.0, ge=0)
     actor_lr: float = Field(1e-3, gt=0)
     critic_lr: float = Field(1e-3, gt=0)
-    gamma: float = Field(0.99, ge=0, lt=1)
+    gamma: float | None = Field(0.99, ge=0, lt=1)
     tau: float = Field(0.005, gt=0, le=1)
     policy_delay: int = Field(1, ge=1)
     critic_burn_in: int = Field(0, ge=0)
     loss_function: Literal["l2", "l1", "smooth_l1"] = "l2"
-    reward_scale: float = 1.0
+    reward_scale: float | None = 1.0
+    residual_penalty: float = Field(0.0, ge=0)
     compiled: bool = False

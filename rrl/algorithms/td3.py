@@ -10,8 +10,9 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.objectives import TD3Loss
 
-from rrl.algorithms.base import Agent, single_precision
+from rrl.algorithms.base import Agent
 from rrl.algorithms.ensemble import EnsembleTD3Loss
+from rrl.algorithms.precision import single_precision
 from rrl.algorithms.settings import AgentSettings
 from rrl.keys import ACTION
 

@@ -62,7 +62,8 @@ def environment(config: Config) -> EnvironmentFactory:
 
 def agent(config: Config) -> Any:
     """Return a factory of learners, which know the task's symmetry if the algorithm uses it."""
-    make = build(config["algorithm"]["agent"])
+    episode_steps = config["env"]["max_episode_steps"]
+    make = partial(build(config["algorithm"]["agent"]), episode_steps=episode_steps)
     symmetric = config["algorithm"].get("use_symmetries")
     symmetry = environment(config).symmetry() if symmetric else None
     return make if symmetry is None else partial(make, symmetry=symmetry)

@@ -51,7 +51,7 @@ class _Env(_Section):
     max_episode_steps: Positive
     inputs: Annotated[dict[str, dict[str, Any] | None], Field(min_length=1)]
     scenarios: Annotated[dict[PlainName, dict[str, Any] | None], Field(min_length=1)]
-    residual_scale: Scale = 1.0
+    residual_scale: Scale | None = None
     action_history: Positive = 1
     symmetries: dict[str, dict[str, list[int]]] | None = None
     metrics: dict[PlainName, Metric | None] | None = None
@@ -120,9 +120,11 @@ def _check_targets(config: Config, built: dict[str, Any]) -> Problems:
     """Check every target's arguments; build those that are classes and cheap, into ``built``."""
     env, algorithm = config["env"], config["algorithm"]
     spec = Bounded(-1.0, 1.0, (1, 1), dtype=torch.float32)
+    interface = {"inputs": {"observation": 1}, "action_size": 1}
+    interface["episode_steps"] = env["max_episode_steps"]
     nodes: list[tuple[str, Target, Config]] = [
         ("controller", config["controller"], {}),
-        ("algorithm.agent", algorithm["agent"], {"inputs": {"observation": 1}, "action_size": 1}),
+        ("algorithm.agent", algorithm["agent"], interface),
         ("algorithm.exploration", algorithm["exploration"], {"spec": spec}),
     ]
     groups = {"disturbance": config.get("disturbance"), "safety": config.get("safety")}
@@ -215,7 +217,7 @@ def _parameters(target: Any) -> dict[str, inspect.Parameter]:
         return parameters
     kept = {n: p for n, p in parameters.items() if p.kind is not p.VAR_KEYWORD}
     keyword = inspect.Parameter.KEYWORD_ONLY
-    fields = [*settings.model_fields, "symmetry"]
+    fields = [*settings.model_fields, "symmetry", "episode_steps"]
     return kept | {n: inspect.Parameter(n, keyword, default=None) for n in fields}
 
 

@@ -82,6 +82,10 @@ class ReplayStore:
         data = self.replay.sample(k * self.batch_size)
         return data.select(*self.keys).reshape(k, self.batch_size)
 
+    def newest(self) -> TensorDictBase:
+        """Return all transitions in the buffer, ``[n]``."""
+        return self.replay[:].select(*self.keys)
+
     def extend(self, data: TensorDictBase) -> None:
         """Store collected ``data`` [E, T]; when this returns it survives the process.
 

@@ -10,6 +10,7 @@ VIDEOS = "videos"
 METRICS = "metrics.csv"
 RESULTS = "results.json"
 VERSIONS = "versions.json"
+DERIVED = "derived.yaml"
 REPORT = "report.html"
 LOG = "log.txt"
 

@@ -138,7 +138,8 @@ class InTurn(Collection):
 
     def rollout(self, env_steps: int) -> TensorDictBase:
         """Return all that the environment wrote in a round, ``[E, T]``."""
-        explores = self.settings.warmup_exploration or env_steps >= self.settings.warmup_steps
+        warms_up = env_steps < (self.settings.warmup_steps or 0)
+        explores = self.settings.warmup_exploration or not warms_up
         random, fixed = ExplorationType.RANDOM, ExplorationType.DETERMINISTIC
         self.collector.exploration_type = random if explores else fixed
         self._anneal(env_steps)  # rounds that were taken from the log

@@ -83,7 +83,7 @@ def build(node: Mapping[str, Any]) -> Callable[..., Any]:
 def default_agent(environment: EnvironmentFactory) -> Callable[..., Agent]:
     """Return the default algorithm's factory, with the task's symmetry where it has one."""
     algorithm = default_config()["algorithm"]
-    make = build(algorithm["agent"])
+    make = partial(build(algorithm["agent"]), episode_steps=environment.max_episode_steps)
     symmetry = environment.symmetry() if algorithm["use_symmetries"] else None
     return make if symmetry is None else partial(make, symmetry=symmetry)
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import yaml
 from torchrl.checkpoint import GlobalRNGState
 
 from rrl.algorithms import Agent
@@ -19,8 +20,10 @@ from ..loggers.timing import Stopwatch
 from ..seeds import Stream, first_seed
 from ..settings import TrainerSettings
 from ..storage.checkpoints import Checkpoints, newest_whole
+from ..storage.files import write_atomically
 from ..storage.finite import require_finite
 from ..storage.replay_store import ReplayStore
+from ..storage.run_files import DERIVED
 from ..storage.same_run import require_same_run
 from .background_collection import InBackground
 from .collection import Collection, Exploration, InTurn, Metrics
@@ -66,7 +69,7 @@ class Trainer:
         config: Mapping[str, Any] | None = None,
         progress: Progress | None = None,
     ) -> None:
-        settings = settings or TrainerSettings()
+        settings = (settings or TrainerSettings()).derived(environment.max_episode_steps)
         self.settings, self.run_dir = settings, Path(run_dir)
         self.loggers = [Guarded(g) for g in ([CSVLogger()] if loggers is None else loggers)]
         self.config = dict(config or {"trainer": settings.model_dump()})
@@ -89,7 +92,7 @@ class Trainer:
             settings.buffer_capacity,
             settings.batch_size,
             settings.n_step,
-            self.agent.settings.gamma,
+            self.agent.gamma,
             settings.device,
         )
         self.replay = self.store.replay
@@ -207,7 +210,8 @@ class Trainer:
         self.counters["env_steps"] += self.settings.steps_per_round
         checkpoint_due = self._due(self.settings.checkpoint.every)
         self.collection.before_updates(self._next_round(), checkpoint_due)
-        if self.env_steps >= self.settings.warmup_steps:
+        if self.env_steps >= (self.settings.warmup_steps or 0):
+            self._calibrate()
             with self.stopwatch("update"), self.generator.drawing():
                 values |= self._update()
         values |= measured(self.stopwatch)
@@ -238,6 +242,15 @@ class Trainer:
         """Take a round from the log: it was stored after the checkpoint that was resumed."""
         self.store.recover(self.settings.steps_per_round)
         return {}
+
+    def _calibrate(self) -> None:
+        """Derive what is not set, once, from what was collected before the first update."""
+        if self.agent.is_calibrated:
+            return
+        derived = self.agent.calibrate(self.store.newest(), self.settings.n_step)
+        derived["warmup_steps"] = self.settings.warmup_steps
+        derived["inputs"] = {str(key): entry for key, entry in derived["inputs"].items()}
+        write_atomically(self.run_dir / DERIVED, yaml.safe_dump(derived, sort_keys=False))
 
     def _update(self) -> Metrics:
         with self.stopwatch("sample"):

@@ -1,0 +1,75 @@
+"""What nobody should have to tune: numbers derived from the environment and from first episodes."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+__all__ = ["VALUE_SPREAD", "discount", "reward_factor", "standardization", "warmup_length"]
+
+VALUE_SPREAD = 5.0
+"""How far apart, roughly, the critics' values of good and bad states shall lie."""
+LEAST_SHARE = 0.1
+"""Rewards that hardly differ count as if they differed by this share of their size."""
+LEAST_SPREAD = 0.05
+"""A number that hardly moves counts as if it moved by this share of its entry's mean spread."""
+WARMUP_EPISODES = 5
+WARMUP_STEPS = 300
+WARMUP_SHARE = 0.1
+"""The warm-up lasts for so many episodes and steps, but not longer than this share of a run."""
+
+
+def discount(episode_steps: int) -> float:
+    """Return a discount that looks two thirds of an episode ahead: 0.97 for 50 steps.
+
+    Args:
+        episode_steps: Steps of an episode.
+    """
+    return min(max(1.0 - 1.5 / episode_steps, 0.9), 0.995)
+
+
+def warmup_length(episode_steps: int, total_steps: int, multiple: int) -> int:
+    """Return for how many steps the controller acts alone before anything is learned.
+
+    Args:
+        episode_steps: Steps of an episode.
+        total_steps: Steps of the run.
+        multiple: What the result is a multiple of.
+    """
+    wanted = max(WARMUP_STEPS, WARMUP_EPISODES * episode_steps)
+    rounds = int(min(wanted, WARMUP_SHARE * total_steps)) // multiple
+    return min(max(rounds, 1) * multiple, max(total_steps - multiple, 0))
+
+
+def reward_factor(rewards: Tensor, gamma: float, n_step: int = 1) -> float:
+    """Return the factor that gives values a spread of about :data:`VALUE_SPREAD`.
+
+    Multiplying all rewards by a number divides the result by it, so that learning is the same.
+
+    Args:
+        rewards: Rewards ``[n]``.
+        gamma: Discount.
+        n_step: Of how many steps each is the sum.
+
+    Returns:
+        The factor; 1 if all rewards are 0.
+    """
+    rewards = rewards.double() / sum(gamma**i for i in range(n_step))
+    size = rewards.square().mean().sqrt()
+    spread = torch.maximum(rewards.std(correction=0), LEAST_SHARE * size)
+    if not spread > 0:
+        return 1.0
+    return float(VALUE_SPREAD * (1 - gamma) / spread)
+
+
+def standardization(values: Tensor) -> tuple[Tensor, Tensor]:
+    """Return center and scale ``[size]`` that standardize an entry's numbers.
+
+    Args:
+        values: The entry's numbers ``[n, size]``.
+    """
+    values = values.double()
+    spread = values.std(0, correction=0)
+    floor = LEAST_SPREAD * spread.square().mean().sqrt()
+    scale = 1.0 / torch.where(spread > floor, spread, floor)
+    return values.mean(0).float(), torch.where(floor > 0, scale, 1.0).float()

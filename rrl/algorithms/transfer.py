@@ -1,0 +1,44 @@
+"""From what one agent has learned to the initial weights of another."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+from torchrl.objectives import LossModule
+
+if TYPE_CHECKING:
+    from rrl.algorithms.base import Agent
+
+__all__ = ["take_over"]
+
+
+@torch.no_grad()
+def take_over(agent: Agent, other: Agent) -> None:
+    """Copy networks, targets and temperature, and what ``other`` has derived; the rest stays.
+
+    Raises:
+        ValueError: If ``other`` is of another algorithm or has networks of other sizes.
+    """
+    given, own = _learned(other.loss), _learned(agent.loss)
+    for name in sorted(given.keys() | own.keys()):
+        shapes = [tuple(d[name].shape) if name in d else None for d in (own, given)]
+        if shapes[0] != shapes[1]:
+            raise ValueError(
+                f"initial weights: expected {type(agent).__name__} with {name} of {shapes[0]}, "
+                f"got {type(other).__name__} with {shapes[1]}"
+            )
+    for name, value in own.items():
+        value.copy_(given[name])
+    if other.is_calibrated:  # a policy means what it learned only behind its own encoder
+        agent.encoder.load_state_dict(other.encoder.state_dict())
+        if agent.settings.reward_scale is None:
+            agent.reward_scale.copy_(other.reward_scale)
+        agent.is_calibrated = True
+
+
+def _learned(loss: LossModule) -> dict[str, Tensor]:
+    """Return what a loss has learned: not its discount, nor what it is told to aim at."""
+    state = loss.state_dict()
+    return {k: v for k, v in state.items() if "_params." in k or k == "log_alpha"}
