@@ -34,7 +34,7 @@ IN_YAML: Any = Field(default=None)
 
 @lru_cache(maxsize=1)
 def default_config() -> dict[str, Any]:
-    """Return the ``trainer`` and ``algorithm`` sections that ``rrl train`` uses by default."""
+    """Return ``trainer``, ``algorithm`` and ``residual_scale`` of ``rrl train``."""
     train = _read("train")
     chosen = {
         k: v for entry in train["defaults"] if isinstance(entry, dict) for k, v in entry.items()
@@ -42,7 +42,7 @@ def default_config() -> dict[str, Any]:
     algorithm, overrides = _with_parents(chosen["algorithm"])
     exploration = {"exploration": _read(f"exploration/{(chosen | overrides)['exploration']}")}
     merged = _merge(_merge(train, {"algorithm": exploration}), algorithm)
-    return {section: merged[section] for section in ("trainer", "algorithm")}
+    return {section: merged[section] for section in ("trainer", "algorithm", "residual_scale")}
 
 
 def _with_parents(name: str) -> tuple[dict[str, Any], dict[str, str]]:

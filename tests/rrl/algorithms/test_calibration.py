@@ -1,0 +1,154 @@
+"""What is derived from the environment and from first transitions, and what it is good for."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch.nn.functional import mse_loss
+
+from agents import OBSERVATION, batches, learn, make_agent, parameters
+from rrl.algorithms import DDPG, SAC, TD3
+from rrl.algorithms.calibration import (
+    VALUE_SPREAD,
+    discount,
+    reward_factor,
+    standardization,
+    warmup_length,
+)
+from rrl.inputs import Input
+
+
+@pytest.mark.parametrize("factor", [1e-4, 1e6])
+def test_rewards_of_any_size_are_learned_from_alike(factor):
+    agents = []
+    for size in (1.0, factor):
+        agent, data = make_agent(reward_scale=None, last_layer_bound=0.1), batches(4)
+        data["next", "reward"] *= size
+        agent.calibrate(data.reshape(-1))
+        torch.manual_seed(0)
+        agent.update(data)
+        agents.append(agent)
+    for name, value in agents[0].loss.state_dict().items():
+        torch.testing.assert_close(agents[1].loss.state_dict()[name], value, rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.5, -0.5])
+def test_values_get_their_spread(offset):
+    rewards = torch.randn(10_000) + offset
+    gamma = 0.97
+    factor = reward_factor(rewards, gamma)
+    assert factor * rewards.std() / (1 - gamma) == pytest.approx(VALUE_SPREAD, rel=0.01)
+
+
+def test_rewards_that_say_nothing_stay_as_they_are():
+    assert reward_factor(torch.zeros(100), 0.9) == 1.0
+
+
+def test_a_constant_reward_does_not_explode():
+    assert 0 < reward_factor(torch.full((100,), 10.0), 0.99) < 1.0
+
+
+def test_sums_of_rewards_count_as_one_each():
+    one = reward_factor(torch.randn(1000, generator=torch.Generator().manual_seed(0)), 0.9)
+    summed = torch.randn(1000, generator=torch.Generator().manual_seed(0)) * (1 + 0.9 + 0.81)
+    assert reward_factor(summed, 0.9, n_step=3) == pytest.approx(one)
+
+
+def test_the_discount_looks_two_thirds_of_an_episode_ahead():
+    assert discount(50) == pytest.approx(0.97)
+    assert discount(1) == 0.9
+    assert discount(10**6) == 0.995
+
+
+@pytest.mark.parametrize("episode_steps", [1, 50, 200, 10**5])
+@pytest.mark.parametrize("total_steps", [50, 100, 3000, 10**6])
+def test_the_warm_up_is_a_small_part_of_whole_rounds(episode_steps, total_steps):
+    steps = warmup_length(episode_steps, total_steps, 50)
+    assert steps % 50 == 0
+    assert steps <= max(total_steps / 10, 50)
+    assert steps < total_steps
+    if total_steps == 10**6 and episode_steps <= 200:
+        assert steps == max(300, 5 * episode_steps)
+
+
+def test_a_number_that_does_not_move_is_not_blown_up():
+    values = torch.randn(1000, 3) * torch.tensor([1.0, 2.0, 0.0]) + torch.tensor([0.0, 5.0, 9.0])
+    loc, scale = standardization(values)
+    torch.testing.assert_close(loc, values.mean(0))
+    torch.testing.assert_close(scale[:2], 1 / values.std(0)[:2], rtol=0.01, atol=0)
+    assert 1 < scale[2] < 100
+    assert standardization(torch.full((10, 2), 7.0))[1].tolist() == [1.0, 1.0]
+
+
+def test_only_entries_without_center_and_scale_are_standardized():
+    inputs = {"far": Input(shape=(2,)), "by_hand": Input(scale=3.0, shape=(1,))}
+    torch.manual_seed(0)
+    agent = TD3(inputs, 1, last_layer_bound=0.1)
+    n = 500
+    data = TensorDict(
+        {
+            "far": torch.randn(n, 2) * 50 + 1000,
+            "by_hand": torch.randn(n, 1) + 5,
+            "action": torch.zeros(n, 1),
+            "next": {"reward": torch.randn(n, 1)},
+        },
+        [n],
+    )
+    told = agent.calibrate(data)
+    assert list(told["inputs"]) == ["far"]
+    features = agent.encoder(data["far"], data["by_hand"])
+    torch.testing.assert_close(features[:, :2].mean(0), torch.zeros(2), atol=1e-3, rtol=0)
+    torch.testing.assert_close(features[:, :2].std(0), torch.ones(2), atol=0.01, rtol=0)
+    assert torch.equal(features[:, 2], 3 * data["by_hand"][:, 0])
+    assert agent.encoder(torch.full((1, 2), 1e9), torch.zeros(1, 1)).abs().max() <= 10
+
+
+def test_no_discount_without_an_episodes_length():
+    with pytest.raises(ValueError, match="episode_steps"):
+        make_agent(gamma=None)
+    assert make_agent(gamma=None, episode_steps=50).gamma == pytest.approx(0.97)
+
+
+@pytest.mark.parametrize("algorithm", [TD3, DDPG, SAC])
+def test_a_checkpoint_and_a_successor_know_what_was_derived(algorithm):
+    agent = make_agent(algorithm, reward_scale=None, last_layer_bound=0.1)
+    agent.inputs = {"observation": Input(shape=(OBSERVATION,))}
+    data = batches(3)
+    data["observation"] = data["observation"] * 7 + 3
+    agent.calibrate(data.reshape(-1))
+    for other in (make_agent(algorithm, seed=5, reward_scale=None) for _ in range(1)):
+        other.load_state_dict(agent.state_dict())
+        assert other.is_calibrated
+        assert torch.equal(other.reward_scale, agent.reward_scale)
+        assert torch.equal(other.encoder.scale, agent.encoder.scale)
+    heir = make_agent(algorithm, seed=5, reward_scale=None)
+    heir.start_from(agent)
+    assert torch.equal(heir.reward_scale, agent.reward_scale)
+    td = TensorDict({"observation": torch.randn(4, OBSERVATION)}, [4])
+    with torch.no_grad():
+        torch.manual_seed(0)
+        expected = agent.policy(td.clone())["action"]
+        torch.manual_seed(0)
+        assert torch.equal(heir.policy(td.clone())["action"], expected)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("algorithm", [TD3, DDPG, SAC])
+def test_a_heavy_penalty_keeps_the_residual_small(algorithm, compiled):
+    def size(penalty):
+        agent = make_agent(
+            algorithm, last_layer_bound=0.5, residual_penalty=penalty, compiled=compiled
+        )
+        for seed in range(20):
+            learn(agent, 4, seed)
+        action = agent._residual(batches(1)[0].select("observation"))
+        return mse_loss(action, torch.zeros_like(action))
+
+    assert size(100.0) < 0.3 * size(0.0)
+
+
+def test_without_a_penalty_nothing_changes():
+    agents = [make_agent(last_layer_bound=0.1, **given) for given in ({}, {"residual_penalty": 0})]
+    for agent in agents:
+        learn(agent, 6)
+    one, other = map(parameters, agents)
+    assert all(torch.equal(one[name], other[name]) for name in one)

@@ -1,0 +1,62 @@
+"""A run derives what nobody set, says what it derived, and goes on with it."""
+
+from functools import partial
+
+import pytest
+import yaml
+from runs import assert_same_run, run, run_until
+
+from rrl.algorithms import TD3, mlp
+from rrl.trainers.environment import EnvironmentFactory
+from rrl.trainers.settings import default_config
+from rrl.trainers.training.learner import default_agent
+from toy_envs import EPISODE_STEPS
+
+DERIVING = partial(
+    TD3,
+    network=partial(mlp, hidden=[8]),
+    gamma=None,
+    reward_scale=None,
+    episode_steps=EPISODE_STEPS,
+)
+
+
+def test_a_run_writes_what_it_derived(make_trainer):
+    trainer = run(make_trainer(agent=DERIVING, warmup_steps=None))
+    derived = yaml.safe_load((trainer.run_dir / "derived.yaml").read_text())
+    assert derived["warmup_steps"] == trainer.settings.warmup_steps
+    assert derived["gamma"] == trainer.agent.gamma == trainer.store.gamma
+    assert derived["reward_scale"] == pytest.approx(float(trainer.agent.reward_scale))
+    assert set(derived["inputs"]) == {"end_effector_position", "goal"}
+    assert trainer.agent.encoder.scale.tolist() == pytest.approx(
+        [x for entry in derived["inputs"].values() for x in entry["scale"]]
+    )
+
+
+@pytest.mark.parametrize("overlap", [False, True])
+@pytest.mark.parametrize("step", [40, 120])
+def test_a_run_that_died_derives_the_same(make_trainer, simulated, step, overlap):
+    arguments = {
+        "agent": DERIVING,
+        "warmup_steps": 100,
+        "total_steps": 200,
+        "overlap": overlap,
+        "environment": simulated,
+    }
+    whole = run(make_trainer("whole", **arguments))
+    run_until(make_trainer("died", **arguments), "store.extend", step)
+    resumed = make_trainer("died", **arguments)
+    resumed.resume()
+    assert_same_run(whole, run(resumed))
+
+
+def test_command_line_and_python_share_the_defaults(factory):
+    agent = default_agent(factory)(inputs={"position": 3}, action_size=2)
+    given = default_config()["algorithm"]["agent"]
+    assert given["gamma"] is None
+    assert given["reward_scale"] is None
+    assert agent.gamma == pytest.approx(0.925)
+    assert agent.settings.residual_penalty == given["residual_penalty"]
+    text = default_config()["residual_scale"]
+    scale = EnvironmentFactory(base=factory.base, controller=factory.controller, inputs=[])
+    assert text == f"${{oc.select:env.residual_scale,{scale.residual_scale}}}"
