@@ -86,12 +86,14 @@ class Comparison:
             are independent samples.
         accepted: Episodes of the policy that the run would hand over, where a policy has to pass a
             test for it; None where the latest one is handed over.
+        accepted_env_steps: Environment steps that it had learned from; 0: it is the controller.
     """
 
     residual: Episodes
     controller: Episodes
     frozen: bool = True
     accepted: Episodes | None = None
+    accepted_env_steps: int = 0
 
     @property
     def handed_over(self) -> Comparison:
@@ -119,6 +121,7 @@ class Comparison:
         out |= self._change() | {"frozen": float(self.frozen)}
         if self.accepted is not None:
             accepted = self.accepted.summary() | self.handed_over._change()
+            accepted["env_steps"] = self.accepted_env_steps
             out |= {f"{ACCEPTED}{name}": v for name, v in accepted.items()}
         return out
 
@@ -162,4 +165,3 @@ def write_results(results: Mapping[str, Comparison], path: Path) -> None:
     """Write every scenario's record as JSON, all or nothing."""
     content = {scenario: comparison.record() for scenario, comparison in results.items()}
     write_atomically(path, json.dumps(content, indent=1) + "\n")
-

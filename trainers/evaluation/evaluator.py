@@ -122,9 +122,7 @@ class Evaluator:
         self, policy: TensorDictModuleBase, scenario: str, seed: int, episodes: int
     ) -> Episodes:
         factory, env = self.scenarios[scenario], self._env(scenario, episodes)
-        return run_episodes(
-            env, policy, episodes, seed, factory.max_episode_steps, factory.metrics
-        )
+        return run_episodes(env, policy, episodes, seed, factory.max_episode_steps, factory.metrics)
 
     def _env(self, scenario: str, episodes: int) -> EnvBase:
         """The scenario's environment, with equal batches that no slot is played in vain for."""

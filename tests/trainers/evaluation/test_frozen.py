@@ -163,4 +163,3 @@ def test_generators_are_put_back(factory):
     assert evaluator.is_frozen("drift")
     assert [draw(3) for draw in GLOBAL.values()] == expected
     evaluator.close()
-
