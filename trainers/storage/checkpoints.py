@@ -11,11 +11,10 @@ Layout, below the run's directory::
             manifest.json            TorchRL's manifest
             seal.json                configuration, position in transitions/, SHA-256 of every file
             components/
-                acceptance/          episodes that are used up, error that is left
                 agent/               parameters, targets, optimizers, update counter
                 collection/          physics, transforms, exploration, what the policy sees next;
                                      where collection overlaps, the parameters to act with
-                handed_over/         the agent as it was when its policy was accepted
+                handed_over/         the agent when its policy was accepted; what tests have used up
                 generator/           what sampling and updates draw from
                 progress/            counters
                 replay/              position in transitions/

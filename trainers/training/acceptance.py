@@ -99,11 +99,13 @@ class Acceptance:
         return beside, named
 
     def state_dict(self) -> dict[str, Any]:
-        """Return which episodes are used up, and what is left of the error."""
-        return {"played": self._played, "alpha_left": self._budget.left}
+        """Return what is handed over, how many episodes are used up, and the error that is left."""
+        state = {"played": self._played, "alpha_left": self._budget.left}
+        return self.handed_over.state_dict() | state
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore :meth:`state_dict`; what is handed over is a component of its own."""
+        """Restore :meth:`state_dict`."""
+        self.handed_over.load_state_dict(state)
         self._played, self._budget.left = state["played"], state["alpha_left"]
         self._followed = None
 

@@ -23,7 +23,7 @@ __all__ = ["RunPolicy"]
 class RunPolicy:
     """What a run hands over: the controller alone, until it takes a policy of the learner.
 
-    It is part of a checkpoint, with all of the learner as it was then.
+    A checkpoint has it under ``handed_over``, with all of the learner as it was then.
 
     Args:
         agent: The learner.

@@ -104,8 +104,7 @@ class Trainer:
             "agent": self.agent,
             "collection": self.collection,
             "replay": self.store,
-            "acceptance": self.acceptance,
-            "handed_over": self.acceptance.handed_over,
+            "handed_over": self.acceptance,
             "generator": self.generator,
             "progress": _Counters(self.counters),
         }
