@@ -59,7 +59,8 @@ def assert_same(expected: Any, actual: Any, where: str = "state") -> None:
 
 
 def assert_same_run(one: Trainer, other: Trainer) -> None:
-    """The same learner and the same stored transitions, to the last bit."""
+    """The same learner, stored transitions and policy handed over, to the last bit."""
     assert_same(dict(one.agent.state_dict()), dict(other.agent.state_dict()), "agent")
+    assert_same(one.acceptance.state_dict(), other.acceptance.state_dict(), "acceptance")
     stored = [dict(t.replay.storage[:].items(True, True)) for t in (one, other)]
     assert_same(*stored, "transitions")

@@ -11,10 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .environment import EnvironmentFactory, Input, Metric
-    from .settings import CheckpointSettings, EvaluationSettings, TrainerSettings
+    from .settings import (
+        AcceptanceSettings,
+        CheckpointSettings,
+        EvaluationSettings,
+        TrainerSettings,
+    )
     from .training.trainer import Trainer
 
 __all__ = [
+    "AcceptanceSettings",
     "CheckpointSettings",
     "EnvironmentFactory",
     "EvaluationSettings",
@@ -25,6 +31,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    "AcceptanceSettings": ".settings",
     "CheckpointSettings": ".settings",
     "EnvironmentFactory": ".environment",
     "EvaluationSettings": ".settings",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -20,14 +21,23 @@ from rrl.transforms.base.action_bounds import limits_of
 
 from .configuration import build as assembly
 from .environment import EnvironmentFactory
+from .evaluation.episodes import ACCEPTED
 from .evaluation.rollout import isolated_generators, rollout
 from .loggers import metrics
 from .report.runs import Run
 from .seeds import Stream, first_seed
-from .storage.checkpoints import load_agent
+from .storage.checkpoints import load_components
 from .storage.run_files import CONFIG_FILE, seed_directories
+from .training.run_policy import RunPolicy
 
-__all__ = ["best_run", "policy_controller", "replay_controller", "start_from", "trained_agent"]
+__all__ = [
+    "TrainedRun",
+    "best_run",
+    "policy_controller",
+    "replay_controller",
+    "start_from",
+    "trained_run",
+]
 
 Config = Mapping[str, Any]
 EPISODES_TRIED = 20
@@ -39,8 +49,9 @@ log = logging.getLogger(__name__)
 def best_run(run: str | Path | None) -> Path:
     """Return a run's directory; of several seeds that of the best one.
 
-    The best one has the highest success, then return, in the last evaluation during training. The
-    final evaluation decides nothing, so that its numbers stay those of a policy not chosen by them.
+    The best one hands over the policy of the highest success, then return, by the last evaluation
+    during training. The final evaluation decides nothing, so that its numbers stay those of a
+    policy not chosen by them.
 
     Raises:
         FileNotFoundError: If there is no run.
@@ -64,19 +75,47 @@ def best_run(run: str | Path | None) -> Path:
     return path
 
 
-def trained_agent(config: Config, run_dir: Path) -> tuple[Agent, Path]:
-    """Return the agent of a run's newest whole checkpoint, and that checkpoint."""
+@dataclass(frozen=True)
+class TrainedRun:
+    """What a run's newest whole checkpoint holds.
+
+    Attributes:
+        checkpoint: The checkpoint.
+        env_steps: Environment steps at which it was made.
+        agent: The learner as it was then.
+        handed_over: What the run hands over; whoever uses a run uses its ``policy``.
+    """
+
+    checkpoint: Path
+    env_steps: int
+    agent: Agent
+    handed_over: RunPolicy
+
+
+def trained_run(config: Config, run_dir: Path) -> TrainedRun:
+    """Return what a run's newest whole checkpoint holds.
+
+    Raises:
+        FileNotFoundError: If there is no checkpoint.
+        ValueError: If none is whole.
+    """
     factory = assembly.environment(config)
     env = factory.make(1)
     agent: Agent = assembly.agent(config)(
         inputs=factory.read_inputs(env), action_size=env.full_action_spec[ACTION].shape[-1]
     )
     env.close()
-    return agent, load_agent(run_dir, agent)
+    tested = assembly.settings(config).acceptance is not None
+    handed_over = RunPolicy(agent, tested)
+    found = load_components(run_dir, {"agent": agent, "handed_over": handed_over})
+    return TrainedRun(*found, agent, handed_over)
 
 
 def start_from(agent: Agent, config: Config) -> None:
     """Give a new agent the initial weights that ``init_from.run`` names, if it names any.
+
+    They are those of the policy that the run hands over, critics included. A run that hands over
+    the controller has none to give.
 
     Raises:
         FileNotFoundError: If there is no such run.
@@ -92,7 +131,13 @@ def start_from(agent: Agent, config: Config) -> None:
             f"init_from.run: expected a policy that reads {config['env']['inputs']}, got {run}, "
             f"which reads {source['env']['inputs']}: give both runs the same env.inputs"
         )
-    agent.start_from(trained_agent(source, path)[0])
+    trained = trained_run(source, path)
+    if trained.handed_over.restore_learner():
+        agent.start_from(trained.agent)
+    else:
+        log.warning(
+            "init_from.run: %s hands over the controller alone: starting from scratch", path
+        )
 
 
 def policy_controller(run: str | None = None, out_key: str = BASE_ACTION) -> Controller:
@@ -165,7 +210,7 @@ def _source(run: str | None) -> tuple[Config, Any]:
             f"run: expected a policy that reads what any environment says, got {run}, which reads "
             f"{sorted(private)}"
         )
-    return config, trained_agent(config, path)[0].policy
+    return config, trained_run(config, path).handed_over.policy
 
 
 def _unit(factory: EnvironmentFactory) -> Tensor:
@@ -177,10 +222,11 @@ def _unit(factory: EnvironmentFactory) -> Tensor:
 
 
 def _score(run: Run) -> tuple[float, float] | None:
-    """Return success and return in the last evaluation during training."""
+    """Return success and return, of what the run hands over, in the last evaluation of training."""
     score = []
     for entry in ("success", "return"):
-        name = metrics.name(metrics.EVALUATION, run.followed, entry)
-        values = [value for step, value in run.record.get(name, []) if step]
+        names = [metrics.name(metrics.EVALUATION, run.followed, p + entry) for p in (ACCEPTED, "")]
+        found = [run.record[name] for name in names if name in run.record]
+        values = [value for step, value in found[0] if step] if found else []
         score.append(values[-1] if values else None)
     return None if score[1] is None else (score[0] or 0.0, score[1])

@@ -1,4 +1,4 @@
-"""Seeds of episodes: training, following and final evaluation are apart by construction."""
+"""Seeds of episodes: training, following, acceptance and final evaluation never meet."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ class Stream(IntEnum):
     """Frozen episodes that are looked at during training, and by which anything may be chosen."""
     FINAL = 2
     """Frozen episodes of the final evaluation, which nothing is chosen by."""
+    ACCEPTANCE = 3
+    """Frozen episodes that candidates are tested on; no two candidates of a run get the same."""
 
 
 def first_seed(stream: Stream, seed: int, restart: int = 0) -> int:

@@ -15,6 +15,7 @@ from rrl.algorithms.calibration import warmup_length
 from .seeds import MAX_SEED
 
 __all__ = [
+    "AcceptanceSettings",
     "CheckpointSettings",
     "EvaluationSettings",
     "NonNegative",
@@ -104,6 +105,23 @@ class EvaluationSettings(_Settings):
     slots: Positive = IN_YAML
 
 
+class AcceptanceSettings(_Settings):
+    """The test that a policy has to pass before the run hands it over.
+
+    Attributes:
+        margin: How much worse than the controller a policy may be, in success rate; where no
+            success is reported, in shares of the range of the controller's returns.
+        alpha: Probability, at most, that a run ever hands over a policy that is worse than that.
+        episodes: Pairs of episodes, of policy and controller, that a candidate is tested on, at
+            most.
+    """
+
+    section = "acceptance"
+    margin: Annotated[float, Field(gt=0, lt=1)] = IN_YAML
+    alpha: Annotated[float, Field(gt=0, lt=1)] = IN_YAML
+    episodes: Positive = IN_YAML
+
+
 class CheckpointSettings(_Settings):
     """How often the run is saved.
 
@@ -147,6 +165,7 @@ class TrainerSettings(_Settings):
         matmul_precision: ``highest`` for float32 products, ``medium`` for bfloat16 products under
             float32.
         evaluation: See :class:`EvaluationSettings`.
+        acceptance: See :class:`AcceptanceSettings`; None hands over the latest policy, untested.
         checkpoint: See :class:`CheckpointSettings`.
     """
 
@@ -168,6 +187,7 @@ class TrainerSettings(_Settings):
     flush_denormals: bool = IN_YAML
     matmul_precision: Literal["highest", "high", "medium"] = IN_YAML
     evaluation: EvaluationSettings = IN_YAML
+    acceptance: AcceptanceSettings | None = IN_YAML
     checkpoint: CheckpointSettings = IN_YAML
 
     @property

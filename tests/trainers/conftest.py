@@ -11,7 +11,12 @@ from rrl.algorithms import TD3, mlp
 from rrl.controllers import ProportionalController
 from rrl.trainers.environment import EnvironmentFactory, Input
 from rrl.trainers.loggers import CSVLogger
-from rrl.trainers.settings import CheckpointSettings, EvaluationSettings, TrainerSettings
+from rrl.trainers.settings import (
+    AcceptanceSettings,
+    CheckpointSettings,
+    EvaluationSettings,
+    TrainerSettings,
+)
 from rrl.trainers.training.trainer import Trainer
 from rrl.transforms import ControlNoise
 from toy_envs import EPISODE_STEPS, PointMass, RememberingPointMass
@@ -50,6 +55,7 @@ def settings():
             "steps_per_collection": EPISODE_STEPS // changes.get("num_envs", 1),
             "batch_size": 32,
             "evaluation": EvaluationSettings(every=100, episodes=10, final_episodes=10, slots=10),
+            "acceptance": AcceptanceSettings(margin=0.4, alpha=0.5, episodes=10),
             "checkpoint": CheckpointSettings(every=100),
         }
         return TrainerSettings(**{**values, **changes})

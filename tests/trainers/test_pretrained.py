@@ -15,7 +15,7 @@ from rrl.trainers.pretrained import (
     policy_controller,
     replay_controller,
     start_from,
-    trained_agent,
+    trained_run,
 )
 
 SMALL = [
@@ -78,7 +78,7 @@ def test_initial_weights_are_those_of_the_best_seed_during_training(alone, obser
     }
     best = alone / f"seed-{max(score, key=score.get)}"
     assert best_run(alone) == best
-    source, _ = trained_agent(config_of(best), best)
+    source = trained_run(config_of(best), best).agent
     with assembly.trainer(config, tmp_path) as trainer:
         start_from(trainer.agent, config)
         td = observed[1]
@@ -88,7 +88,7 @@ def test_initial_weights_are_those_of_the_best_seed_during_training(alone, obser
 
 def test_as_a_controller_it_acts_as_it_did(alone, observed):
     run = alone / "seed-1"
-    source, _ = trained_agent(config_of(run), run)
+    source = trained_run(config_of(run), run).agent
     expected = source.policy(observed[1].clone())["action"]
     given = policy_controller(str(run))(observed[1].clone())["base_action"]
     torch.testing.assert_close(given, expected, atol=1e-5, rtol=1e-5)

@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
 
 from ..configuration import build as assembly
 from ..console import Output
 from ..evaluation.episodes import Comparison, write_results
 from ..evaluation.evaluator import Evaluator
 from ..evaluation.video import choose_episode, render_comparison
-from ..pretrained import best_run, trained_agent
+from ..pretrained import best_run, trained_run
 from ..report.runs import Group, find_runs
 from ..report.tables import one_run, terminal_tables
 from ..seeds import Stream, first_seed
 from ..storage.run_files import VIDEOS, seed_directories
 from ..training.progress import Progress
+from ..training.run_policy import RunPolicy
 
 __all__ = ["evaluate", "film", "film_run", "render"]
 
@@ -45,43 +45,54 @@ def render(config: assembly.Config, run_dir: Path, console: Output) -> None:
 
 def film_run(config: assembly.Config, run: Path, out: Path, console: Output) -> list[Path]:
     """Evaluate a run and film an episode of it into the directory ``out``."""
-    results, agent = _evaluate(config, run, console)
-    return film(config, agent, results, out, console)
+    results, handed_over = _evaluate(config, run, console)
+    return film(config, handed_over, results, out, console)
 
 
-def _evaluate(config: assembly.Config, run_dir: Path, console: Output) -> tuple[Comparisons, Any]:
+def _evaluate(
+    config: assembly.Config, run_dir: Path, console: Output
+) -> tuple[Comparisons, RunPolicy]:
     config = {**config, "trainer": {**config["trainer"], "num_seeds": 1}}
     assembly.check(config)
     settings = assembly.settings(config)
-    agent, path = trained_agent(config, run_dir)
-    console.say(f"loaded {path}")
+    trained = trained_run(config, run_dir)
+    console.say(f"loaded {trained.checkpoint}")
     evaluator = Evaluator(assembly.scenarios(config), settings.evaluation)
-    results = {
-        scenario: evaluator.compare(
-            agent.policy, scenario, Stream.FINAL, settings.evaluation.final_episodes
+    results = {}
+    for scenario in Progress(console).track(evaluator.scenarios, "evaluating"):
+        results[scenario] = trained.handed_over.compare(
+            evaluator,
+            trained.env_steps,
+            scenario,
+            Stream.FINAL,
+            settings.evaluation.final_episodes,
         )
-        for scenario in Progress(console).track(evaluator.scenarios, "evaluating")
-    }
     evaluator.close()
-    return results, agent
+    return results, trained.handed_over
 
 
 def film(
-    config: assembly.Config, agent: Any, results: Comparisons, run_dir: Path, console: Output
+    config: assembly.Config,
+    handed_over: RunPolicy,
+    results: Comparisons,
+    run_dir: Path,
+    console: Output,
 ) -> list[Path]:
-    """Film an episode of ``results``; the list is empty where nothing can be rendered."""
+    """Film an episode of what is handed over; the list is empty where nothing can be rendered."""
     settings, render = assembly.settings(config), config["render"]
     node, scenario = config["env"].get("renderer"), render["scenario"] or next(iter(results))
     if not node:
         return []
     if scenario not in results:
         raise ValueError(f"render.scenario: expected one of {sorted(results)}, got {scenario!r}")
-    episode = choose_episode(results[scenario], render["episode"])
+    if handed_over.tested and not handed_over.env_steps:
+        console.say("the run hands over the controller: both halves of the video show it")
+    episode = choose_episode(results[scenario].handed_over, render["episode"])
     out = run_dir / VIDEOS / f"{scenario}_episode_{episode}.{render['format']}"
     try:
         film = render_comparison(
             assembly.scenarios(config)[scenario],
-            agent.policy,
+            handed_over.policy,
             assembly.build(node),
             first_seed(Stream.FINAL, settings.evaluation.seed) + episode,
             out,

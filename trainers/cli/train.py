@@ -92,7 +92,7 @@ def _train(config: assembly.Config, trainer: Trainer, console: Output) -> None:
         curve = learning_curve(group, run_dir / "learning_curve.png")
         written += [curve] if curve else []
     if config["render"]["enabled"]:
-        written += film(config, trainer.agent, results, run_dir, console)
+        written += film(config, trainer.acceptance.handed_over, results, run_dir, console)
     _log_results(trainer, shown, [path for path in written if path.suffix in MEDIA])
     write_results(results, run_dir / RESULTS)  # after all that takes long
     written.append(write_report(find_runs([run_dir]), run_dir / REPORT))

@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 from rrl.keys import METRICS, SAFETY
 
 from ..storage.files import write_atomically
-from .statistics import mcnemar, wilson
+from .statistics import fisher, mcnemar, wilson
 
-__all__ = ["CONTROLLER", "Comparison", "Episodes", "write_results"]
+__all__ = ["ACCEPTED", "CONTROLLER", "Comparison", "Episodes", "write_results"]
 
 CONTROLLER = "controller_"
 """Prefix of the entries of the controller alone."""
+ACCEPTED = "accepted_"
+"""Prefix of the entries of what the run hands over, where policies are tested for it."""
 
 
 @dataclass(frozen=True)
@@ -75,51 +77,91 @@ class Episodes:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A policy and the controller alone on the same ``N`` episodes."""
+    """A policy and the controller alone on ``N`` episodes.
+
+    Attributes:
+        residual: The policy's episodes.
+        controller: The controller's episodes, the same ones where they are frozen.
+        frozen: Whether the episodes can be played again, so that they are paired; otherwise the two
+            are independent samples.
+        accepted: Episodes of the policy that the run would hand over, where a policy has to pass a
+            test for it; None where the latest one is handed over.
+        accepted_env_steps: Environment steps that it had learned from; 0: it is the controller.
+    """
 
     residual: Episodes
     controller: Episodes
+    frozen: bool = True
+    accepted: Episodes | None = None
+    accepted_env_steps: int = 0
+
+    @property
+    def handed_over(self) -> Comparison:
+        """What the run would hand over, beside the controller."""
+        return Comparison(self.accepted or self.residual, self.controller, self.frozen)
 
     @property
     def rescues(self) -> NDArray[np.int64]:
         """Numbers of the episodes that the controller fails and the policy solves."""
-        return _only_first(self.residual, self.controller)
+        return self._only_first(self.residual, self.controller)
 
     @property
     def regressions(self) -> NDArray[np.int64]:
         """Numbers of the episodes that the controller solves and the policy fails."""
-        return _only_first(self.controller, self.residual)
+        return self._only_first(self.controller, self.residual)
 
     def summary(self) -> dict[str, float]:
-        """Return the policy's summary, the controller's under ``controller_``, and the change."""
+        """Return the policy's summary, the controller's under ``controller_``, and the change.
+
+        ``frozen`` is 1 or 0. What the run would hand over has the policy's entries under
+        ``accepted_``.
+        """
         out = self.residual.summary()
         out |= {f"{CONTROLLER}{name}": v for name, v in self.controller.summary().items()}
-        out["return_gain"] = float((self.residual.returns - self.controller.returns).mean())
-        if self.residual.success is not None:
-            rescues, regressions = len(self.rescues), len(self.regressions)
-            out |= {
-                "rescues": rescues,
-                "regressions": regressions,
-                "rescue_rate": rescues / len(self.residual.returns),
-                "regression_rate": regressions / len(self.residual.returns),
-                "mcnemar_p": mcnemar(rescues, regressions),
-            }
+        out |= self._change() | {"frozen": float(self.frozen)}
+        if self.accepted is not None:
+            accepted = self.accepted.summary() | self.handed_over._change()
+            accepted["env_steps"] = self.accepted_env_steps
+            out |= {f"{ACCEPTED}{name}": v for name, v in accepted.items()}
         return out
 
     def record(self) -> dict[str, dict[str, Any]]:
         """Return what ``results.json`` holds of a scenario: the summary, and every episode."""
-        alone = {f"{CONTROLLER}{name}": v for name, v in self.controller.values().items()}
-        return {"summary": self.summary(), "episodes": self.residual.values() | alone}
+        parts = {CONTROLLER: self.controller, ACCEPTED: self.accepted}
+        others = {
+            f"{prefix}{name}": values
+            for prefix, episodes in parts.items()
+            if episodes is not None
+            for name, values in episodes.values().items()
+        }
+        return {"summary": self.summary(), "episodes": self.residual.values() | others}
+
+    def _change(self) -> dict[str, float]:
+        """The policy against the controller: paired, or as independent samples."""
+        policy, controller = self.residual, self.controller
+        out = {"return_gain": float(policy.returns.mean() - controller.returns.mean())}
+        if policy.success is None or controller.success is None:
+            return out
+        if not self.frozen:
+            solved = int(policy.success.sum()), int(controller.success.sum())
+            return out | {"fisher_p": fisher(*solved, len(policy.success))}
+        rescues, regressions = len(self.rescues), len(self.regressions)
+        return out | {
+            "rescues": rescues,
+            "regressions": regressions,
+            "rescue_rate": rescues / len(policy.success),
+            "regression_rate": regressions / len(policy.success),
+            "mcnemar_p": mcnemar(rescues, regressions),
+        }
+
+    def _only_first(self, first: Episodes, second: Episodes) -> NDArray[np.int64]:
+        """Numbers of the episodes that only the first one solves; none where nothing is paired."""
+        if not self.frozen or first.success is None or second.success is None:
+            return np.zeros(0, dtype=np.int64)
+        return np.flatnonzero(first.success & ~second.success)
 
 
 def write_results(results: Mapping[str, Comparison], path: Path) -> None:
     """Write every scenario's record as JSON, all or nothing."""
     content = {scenario: comparison.record() for scenario, comparison in results.items()}
     write_atomically(path, json.dumps(content, indent=1) + "\n")
-
-
-def _only_first(first: Episodes, second: Episodes) -> NDArray[np.int64]:
-    """Numbers of the episodes that only the first one solves."""
-    if first.success is None or second.success is None:
-        return np.zeros(0, dtype=np.int64)
-    return np.flatnonzero(first.success & ~second.success)

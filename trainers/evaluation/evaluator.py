@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 
 from tensordict.nn import TensorDictModuleBase
@@ -11,13 +12,19 @@ from ..environment import EnvironmentFactory
 from ..seeds import Stream, first_seed
 from ..settings import EvaluationSettings
 from .episodes import Comparison, Episodes
+from .frozen import FEW, explanation, replay_difference
 from .rollout import run_episodes, zero_residual
 
 __all__ = ["Evaluator"]
 
+log = logging.getLogger(__name__)
+
 
 class Evaluator:
-    """Pairs a policy with the controller alone on frozen episodes.
+    """Plays a policy and the controller alone on frozen episodes.
+
+    Whether a scenario's episodes are frozen is tried before its first comparison: see
+    :mod:`.frozen`. Where they are not, the two are independent samples.
 
     Args:
         scenarios: Environments by name; the first is followed during training.
@@ -35,6 +42,7 @@ class Evaluator:
         self.scenarios, self.settings = dict(scenarios), settings
         self._envs: dict[tuple[str, int], EnvBase] = {}
         self._controller: dict[tuple[str, Stream, int], Episodes] = {}
+        self._frozen: dict[str, bool] = {}
 
     @property
     def followed(self) -> str:
@@ -45,11 +53,61 @@ class Evaluator:
         self, policy: TensorDictModuleBase, scenario: str, stream: Stream, episodes: int
     ) -> Comparison:
         """Compare a policy with the controller alone on the first episodes of a stream."""
+        frozen = self.is_frozen(scenario)
+        alone = self.controller(scenario, stream, episodes)
+        return Comparison(self.play(policy, scenario, stream, episodes), alone, frozen)
+
+    def controller(self, scenario: str, stream: Stream, episodes: int) -> Episodes:
+        """Return what the controller alone comes to on the first episodes of a stream."""
         key = scenario, stream, episodes
         if key not in self._controller:
             alone = zero_residual(self._env(scenario, episodes))
-            self._controller[key] = self._play(alone, *key)
-        return Comparison(self._play(policy, *key), self._controller[key])
+            self._controller[key] = self.play(alone, *key)
+        return self._controller[key]
+
+    def play(
+        self, policy: TensorDictModuleBase, scenario: str, stream: Stream, episodes: int
+    ) -> Episodes:
+        """Play the first episodes of a stream."""
+        return self._play(policy, scenario, self.first_seed(stream), episodes)
+
+    def pairs(
+        self, policy: TensorDictModuleBase, scenario: str, seed: int, episodes: int
+    ) -> tuple[Episodes, Episodes]:
+        """Play policy and controller alone on episodes of which nothing is remembered.
+
+        Args:
+            policy: From observation keys to ``action``.
+            scenario: Name of the scenario.
+            seed: Seed of the first episode.
+            episodes: How many, each by both; :meth:`side_by_side` of them at a time are quickest.
+        """
+        alone = zero_residual(self._env(scenario, episodes))
+        return (
+            self._play(policy, scenario, seed, episodes),
+            self._play(alone, scenario, seed, episodes),
+        )
+
+    def side_by_side(self, scenario: str, at_most: int) -> int:
+        """Return how many episodes of a scenario are played at a time."""
+        native = self.scenarios[scenario].batching == "native"
+        return min(at_most, self.settings.slots) if native else 1
+
+    def is_frozen(self, scenario: str) -> bool:
+        """Return whether a scenario's episodes can be played again; log once if they cannot."""
+        if scenario not in self._frozen:
+            env, factory = self._env(scenario, FEW), self.scenarios[scenario]
+            difference = replay_difference(
+                env,
+                zero_residual(env),
+                self.first_seed(Stream.FOLLOWING),
+                factory.max_episode_steps,
+            )
+            self._frozen[scenario] = difference is None
+            if difference is not None:
+                alone = env.batch_size.numel() <= 1
+                log.warning("%s", explanation(scenario, difference, alone))
+        return self._frozen[scenario]
 
     def first_seed(self, stream: Stream) -> int:
         """Return the seed of a stream's first episode; episode ``i`` has this seed plus ``i``."""
@@ -61,17 +119,10 @@ class Evaluator:
             self._envs.popitem()[1].close()
 
     def _play(
-        self, policy: TensorDictModuleBase, scenario: str, stream: Stream, episodes: int
+        self, policy: TensorDictModuleBase, scenario: str, seed: int, episodes: int
     ) -> Episodes:
-        factory = self.scenarios[scenario]
-        return run_episodes(
-            self._env(scenario, episodes),
-            policy,
-            episodes,
-            self.first_seed(stream),
-            factory.max_episode_steps,
-            factory.metrics,
-        )
+        factory, env = self.scenarios[scenario], self._env(scenario, episodes)
+        return run_episodes(env, policy, episodes, seed, factory.max_episode_steps, factory.metrics)
 
     def _env(self, scenario: str, episodes: int) -> EnvBase:
         """The scenario's environment, with equal batches that no slot is played in vain for."""

@@ -16,12 +16,14 @@ from scipy.special import gammaln
 
 __all__ = [
     "Interval",
+    "fisher",
     "iqm",
     "iqm_interval",
     "mcnemar",
     "mean_interval",
     "paired_interval",
     "success_interval",
+    "unpaired_interval",
     "wilson",
 ]
 
@@ -135,6 +137,40 @@ def paired_interval(
     return (low, high) if bound is None else (max(low, -bound), min(high, bound))
 
 
+def unpaired_interval(
+    values: Values, others: Values, bound: float | None = None, confidence: float = 0.95
+) -> Interval:
+    """Return an interval of the difference in means of two arms on episodes of their own.
+
+    Welch's interval. Runs of the first arm differ, so with several of them its error is that of
+    their means; the second arm is the same in all runs, and its episodes count together. With a
+    bound each arm gets one more episode at either end (Agresti and Caffo, 2000): the interval
+    never has zero width.
+
+    Args:
+        values: The first arm's, for every run and episode, ``[S, N]``.
+        others: The second arm's, ``[S, M]``.
+        bound: The largest possible value, where the least is 0; 1 for successes.
+        confidence: Probability of covering.
+    """
+    first = np.atleast_2d(np.asarray(values, dtype=float))
+    second = np.asarray(others, dtype=float).ravel()
+    if bound is not None:
+        ends = np.array([0.0, bound])
+        first = np.concatenate([first, np.tile(ends, (len(first), 1))], axis=1)
+        second = np.concatenate([second, ends])
+    arms = [first.mean(axis=1) if len(first) > 1 else first[0], second]
+    if min(map(len, arms)) < 2:
+        return NO_INTERVAL
+    parts = [arm.var(ddof=1) / len(arm) for arm in arms]
+    weights = sum(part**2 / (len(arm) - 1) for part, arm in zip(parts, arms, strict=True))
+    freedom = sum(parts) ** 2 / weights if weights else 1.0
+    half = float(np.sqrt(sum(parts)) * stats.t.ppf(0.5 + confidence / 2, freedom))
+    difference = float(first.mean() - second.mean())
+    low, high = difference - half, difference + half
+    return (low, high) if bound is None else (max(low, -bound), min(high, bound))
+
+
 def iqm(*strata: Values) -> float:
     """Return the interquartile mean of all values: the mean of the middle half."""
     return float(stats.trim_mean(np.concatenate(strata), 0.25))
@@ -175,3 +211,15 @@ def mcnemar(rescues: int, regressions: int) -> float:
     """
     changed = rescues + regressions
     return float(stats.binomtest(rescues, changed, 0.5).pvalue) if changed else 1.0
+
+
+def fisher(solved: int, others: int, episodes: int) -> float:
+    """Return the exact two-sided p-value that two success counts differ only by chance.
+
+    Args:
+        solved: Successes of one arm.
+        others: Successes of the other.
+        episodes: Episodes of each, independent of one another.
+    """
+    table = [[solved, episodes - solved], [others, episodes - others]]
+    return float(stats.fisher_exact(table).pvalue)

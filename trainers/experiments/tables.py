@@ -57,6 +57,9 @@ def _success_row(outcome: Outcome, scenario: str, with_setting: bool) -> list[st
     cells = [scenario, outcome.point.arm, *_value(outcome, with_setting)]
     for counts in (outcome.counts(scenario), outcome.controller_counts(scenario)):
         cells += [str(counts), f"{TRIALS * counts.rate:.1f}"]
+    if not outcome.knows("mcnemar_p"):  # the episodes are not frozen
+        tests = ", ".join(f"{p:.1g}" for p in outcome.final("fisher_p", scenario))
+        return [*cells, "not paired", f"{tests} (Fisher's)"]
     changes = [outcome.final(entry, scenario).sum() for entry in ("rescues", "regressions")]
     cells.append(f"{changes[0]:.0f} / {changes[1]:.0f}")
     return [*cells, ", ".join(f"{p:.1g}" for p in outcome.final("mcnemar_p", scenario))]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 __all__ = [
+    "ACCEPTANCE",
     "ACTION",
     "EVALUATION",
     "FINAL",
@@ -32,7 +33,12 @@ LOSS = "loss"
 
 EVALUATION = "eval"
 """Followed episodes during training: ``eval/<scenario>/success``, ``.../rescues``,
-``.../controller_success``, ``.../metrics/<name>``, ``.../metrics/<name>_p99``."""
+``.../controller_success``, ``.../metrics/<name>``, ``.../metrics/<name>_p99``; of what the run
+would hand over ``.../accepted_success``, ``.../accepted_env_steps`` (0: the controller)."""
+
+ACCEPTANCE = "acceptance"
+"""The test of a candidate: ``acceptance/episodes`` (pairs; 0: it was none), ``.../evidence`` (1 or
+more accepts), ``.../accepted`` (0 or 1), ``.../alpha_left``."""
 
 FINAL = "final"
 """The same of the final episodes, of every scenario: ``final/<scenario>/success``."""

@@ -114,6 +114,10 @@ def _group_traces(group: Group, panel: Panel, curve: Curve, color: str) -> list[
     for seed, row in zip(curve.seeds, curve.values if len(curve.seeds) > 1 else (), strict=False):
         line = _line(steps, row * scale, f"{label}, seed {seed}", label, thin)
         traces.append(line.update(meta=meta | {"Show": f"seed {seed}"}))
+    if accepted := group.curve(panel.accepted):
+        name, style = f"{label}, handed over", {"color": color, "width": 2, "dash": "dashdot"}
+        line = _line(accepted.steps, accepted.mean * scale, name, name, style)
+        traces.append(line.update(line_shape="hv", meta=meta | {"Show": "handed over"}))
     return traces
 
 

@@ -89,7 +89,9 @@ def line_plot(panel: Panel) -> dict[str, Any]:
 
     W&B draws what was logged: a panel in per cent is a share there.
     """
-    names = "|".join(_pattern(name) for name in (panel.metric, panel.controller) if name)
+    names = "|".join(
+        _pattern(name) for name in (panel.metric, panel.controller, panel.accepted) if name
+    )
     return _over_steps(panel.title.replace(" [%]", ""), f"^({names})$")
 
 

@@ -13,13 +13,14 @@ from .runs import Group
 __all__ = ["CONTROLLER_COLOR", "RESIDUAL_COLOR", "learning_curve"]
 
 RESIDUAL_COLOR, CONTROLLER_COLOR = "#1b6ca8", "#c1440e"
+ACCEPTED_COLOR = "#222222"
 
 
 def learning_curve(group: Group, out: Path) -> Path | None:
     """Draw success and return of the followed episodes, and write ``out`` (and the same as SVG).
 
     Thick lines are means over runs, bands their 95 % intervals, thin lines runs; the dashed line is
-    the controller alone on the same episodes.
+    the controller alone on the same episodes, the dotted one what the run would hand over.
 
     Args:
         group: One run, or runs that differ by the seed.
@@ -59,6 +60,9 @@ def _draw(axis: Axes, group: Group, panel: Panel) -> None:
     if level := group.curve(panel.controller):
         (line,) = axis.plot(level.steps, level.mean * panel.scale, "--", linewidth=2)
         line.set(color=CONTROLLER_COLOR, label="controller alone")
+    if accepted := group.curve(panel.accepted):
+        (line,) = axis.plot(accepted.steps, accepted.mean * panel.scale, ":", linewidth=2)
+        line.set(color=ACCEPTED_COLOR, label="handed over", drawstyle="steps-post")
     axis.set_ylabel(panel.title)
     axis.set_xlabel("environment steps")
     if panel.counted:

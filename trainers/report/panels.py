@@ -28,6 +28,7 @@ class Panel:
         bounds: The possible values.
         counted: Whether it is a share of the evaluation's episodes.
         controller: Metric of the controller alone on the same episodes.
+        accepted: Metric of what the run would hand over, on the same episodes.
     """
 
     metric: str
@@ -36,13 +37,17 @@ class Panel:
     bounds: tuple[float, float] = ANY
     counted: bool = False
     controller: str = ""
+    accepted: str = ""
 
 
 def _evaluated(entry: str, title: str, *, counted: bool = False, paired: bool = True) -> Panel:
     name = metrics.name(metrics.EVALUATION, FOLLOWED, entry)
-    controller = metrics.name(metrics.EVALUATION, FOLLOWED, f"controller_{entry}") if paired else ""
+    others = [
+        metrics.name(metrics.EVALUATION, FOLLOWED, prefix + entry) if paired else ""
+        for prefix in ("controller_", "accepted_")
+    ]
     scale, bounds = (100.0, RATE) if counted else (1.0, ANY)
-    return Panel(name, title, scale, bounds, counted, controller)
+    return Panel(name, title, scale, bounds, counted, *others)
 
 
 LEARNING = (

@@ -14,7 +14,7 @@ from ..storage.same_run import leaves
 from . import charts, panels, tables
 from .page import Page
 from .panels import Panel
-from .runs import OWN, Group, Run, group_runs
+from .runs import OWN, Group, Record, Run, group_runs
 
 __all__ = ["write_report"]
 
@@ -84,7 +84,10 @@ def _results(page: Page, groups: Sequence[Group]) -> None:
     found = [(s, g) for s in scenarios for g in groups if s in g.results]
     if found:
         header = [tables.COLUMNS[0], "run", *tables.COLUMNS[1:], "each run"]
-        page.table(header, [[s, g.label, *_success(g, s)] for s, g in found])
+        page.table(header, [row for s, g in found for row in _success(g, s)])
+        for g in groups:
+            for note in tables.notes(g.results)[1:]:
+                page.text(f"{g.label}: {note}" if len(groups) > 1 else note)
         page.text(tables.NOTE)
         units = {name: unit for group in groups for name, unit in group.units.items()}
         # All scenarios and groups at once: one header for quantities that not all of them have.
@@ -97,10 +100,19 @@ def _results(page: Page, groups: Sequence[Group]) -> None:
             page.text(f"`{run.path}` has no final evaluation yet.")
 
 
-def _success(group: Group, scenario: str) -> list[str]:
+def _success(group: Group, scenario: str) -> list[list[str]]:
+    """The rows of the latest policies and of what is handed over, as in the tables."""
+    rows = tables.success_rows({scenario: group.results[scenario]})
+    records = [group.results[scenario], list(map(tables.handed_over, group.results[scenario]))]
+    return [
+        [name, group.label, *_meaningful(group, cells, shown)]
+        for (name, *cells), shown in zip(rows, records, strict=False)
+    ]
+
+
+def _meaningful(group: Group, cells: Sequence[str], records: Sequence[Record]) -> list[str]:
     """The cells that mean something: one arm has no residual, another no controller."""
-    records = group.results[scenario]
-    controller, residual, *changes = tables.success_cells(records)
+    controller, residual, *changes = cells
     entry, scale = ("success", 100.0) if "success" in records[0]["summary"] else ("return", 1.0)
     each = ", ".join(f"{record['summary'][entry] * scale:.4g}" for record in records)
     if group.config["arm"] == "controller":
@@ -130,6 +142,12 @@ def _curves(page: Page, groups: Sequence[Group]) -> None:
             "Rescues and regressions",
             panels.CHANGES,
             "Share of the followed episodes, paired with the controller alone.",
+        ),
+        (
+            "Acceptance",
+            panels_of(metrics.ACCEPTANCE),
+            "The tests of candidates: pairs of episodes played, evidence (at 1 the policy is "
+            "accepted), and what is left of the error that the run allows.",
         ),
         (
             "Controller and residual",

@@ -12,7 +12,13 @@ from rich.table import Table
 
 from rrl.keys import METRICS
 
-from ..evaluation.statistics import mean_interval, paired_interval, success_interval, wilson
+from ..evaluation.statistics import (
+    mean_interval,
+    paired_interval,
+    success_interval,
+    unpaired_interval,
+    wilson,
+)
 from .panels import quantity_title
 from .runs import Record
 
@@ -22,10 +28,11 @@ if TYPE_CHECKING:  # without torch a report of finished runs is quick
 __all__ = [
     "COLUMNS",
     "EPISODE_COLUMNS",
-    "NOTE",
     "Results",
     "episode_rows",
+    "handed_over",
     "markdown_tables",
+    "notes",
     "one_run",
     "quantity_rows",
     "success_cells",
@@ -45,6 +52,13 @@ NOTE = (
     "Student's t of the return. Gain: paired on the same frozen episodes. Rescued and broken: "
     "episodes that only the residual or only the controller solves, mean of the runs."
 )
+UNPAIRED = (
+    "The episodes of {} are not frozen: played twice they came out differently. Controller and "
+    "residual are independent samples there; the gain has the interval of these, and no episode is "
+    "called rescued or broken."
+)
+ACCEPTED = "accepted_"
+HANDED_OVER = ", handed over"
 OUTCOMES: Mapping[tuple[bool, ...], str] = {
     (False, True): "rescued",
     (True, False): "broken",
@@ -64,9 +78,29 @@ def one_run(results: Mapping[str, Comparison]) -> dict[str, list[Record]]:
     return {scenario: [comparison.record()] for scenario, comparison in results.items()}
 
 
+def handed_over(record: Record) -> Record:
+    """Return a scenario's record with what the run hands over in the latest policy's place."""
+
+    def exchanged(part: Mapping[str, Any]) -> dict[str, Any]:
+        accepted = {k.removeprefix(ACCEPTED): v for k, v in part.items() if k.startswith(ACCEPTED)}
+        return {k: v for k, v in part.items() if not k.startswith(ACCEPTED)} | accepted
+
+    return {name: exchanged(part) for name, part in record.items()}
+
+
 def success_rows(results: Results) -> list[list[str]]:
-    """Return one row of text for every scenario, for ``COLUMNS``."""
-    return [[scenario, *success_cells(records)] for scenario, records in results.items()]
+    """Return rows of text for ``COLUMNS``: one for every scenario, for the latest policies.
+
+    A second row is of what is handed over, where that is another policy in any of the runs.
+    """
+    rows = []
+    for scenario, records in results.items():
+        rows.append([scenario, *success_cells(records)])
+        accepted = [handed_over(record) for record in records]
+        entries = [(a["episodes"], r["episodes"]) for a, r in zip(accepted, records, strict=True)]
+        if any(a[key] != latest[key] for a, latest in entries for key in a):
+            rows.append([scenario + HANDED_OVER, *success_cells(accepted)])
+    return rows
 
 
 def success_cells(records: Sequence[Record]) -> list[str]:
@@ -75,24 +109,70 @@ def success_cells(records: Sequence[Record]) -> list[str]:
     entry = "success" if "success" in episodes[0] else "return"
     values = np.array([e[entry] for e in episodes], dtype=float)  # (S, N)
     alone = np.array([e[f"controller_{entry}"] for e in episodes], dtype=float)
+    frozen = all(map(_frozen, records))
+    bound = 1.0 if entry == "success" else None
+    gain = (
+        paired_interval(values - alone, bound)
+        if frozen
+        else unpaired_interval(values, alone, bound)
+    )
+    alone = alone[:1] if frozen else alone  # frozen, it is the same in every run
     if entry == "return":
-        gain = paired_interval(values - alone)
         return [
-            f"{alone[0].mean():.2f}",
+            f"{alone.mean():.2f}",
             with_interval(values.mean(), mean_interval(values.mean(axis=1))),
-            with_interval((values - alone).mean(), gain, sign="+"),
+            with_interval(values.mean() - alone.mean(), gain, sign="+"),
             "",
             "",
         ]
     count = values.shape[1]
-    solved, low_high = values.sum(axis=1), paired_interval(values - alone, bound=1.0)
-    changes = [np.mean([r["summary"][key] for r in records]) for key in ("rescues", "regressions")]
     return [
-        with_interval(alone[0].mean(), wilson(int(alone[0].sum()), count), 100.0),
-        with_interval(values.mean(), success_interval(solved.tolist(), count), 100.0),
-        with_interval((values - alone).mean(), low_high, 100.0, sign="+"),
-        *(f"{change:.1f}".removesuffix(".0") for change in changes),
+        with_interval(alone.mean(), wilson(int(alone.sum()), alone.size), 100.0),
+        with_interval(values.mean(), success_interval(values.sum(axis=1).tolist(), count), 100.0),
+        with_interval(values.mean() - alone.mean(), gain, 100.0, sign="+"),
+        *(_mean_change(records, key) if frozen else "" for key in ("rescues", "regressions")),
     ]
+
+
+def _mean_change(records: Sequence[Record], key: str) -> str:
+    return f"{np.mean([record['summary'][key] for record in records]):.1f}".removesuffix(".0")
+
+
+def _frozen(record: Record) -> bool:
+    return bool(record["summary"].get("frozen", True))
+
+
+def notes(results: Results) -> list[str]:
+    """Return how the tables are to be read, and what the runs hand over."""
+    found = [NOTE]
+    loose = [name for name, records in results.items() if not all(map(_frozen, records))]
+    if loose:
+        found.append(UNPAIRED.format(", ".join(loose)))
+    records = next(iter(results.values()), ())
+    steps = [r["summary"].get(f"{ACCEPTED}env_steps") for r in records]
+    tested = [int(step) for step in steps if step is not None]
+    if tested:
+        found.append(_what_is_handed_over(tested))
+    return found
+
+
+def _what_is_handed_over(steps: Sequence[int]) -> str:
+    """Say what the runs hand over; 0 steps stand for the controller."""
+    learned = [step for step in steps if step]
+    if len(steps) > 1:
+        return (
+            f"Handed over: a learned policy by {len(learned)} of {len(steps)} runs, the controller "
+            "alone by the others, in which no policy passed the test against it."
+        )
+    if not learned:
+        return (
+            "Handed over: the controller alone. No policy passed the test that it is not worse "
+            "than the controller."
+        )
+    return (
+        f"Handed over: the policy after {learned[0]} environment steps, which passed the test that "
+        "it is not worse than the controller."
+    )
 
 
 def with_interval(
@@ -144,17 +224,18 @@ def episode_rows(results: Results) -> list[list[Any]]:
         [scenario, *row]
         for scenario, records in results.items()
         for record in records
-        for row in _episodes(record["episodes"])
+        for row in _episodes(record["episodes"], _frozen(record))
     ]
 
 
-def _episodes(episodes: Mapping[str, Sequence[Any]]) -> Iterator[list[Any]]:
+def _episodes(episodes: Mapping[str, Sequence[Any]], frozen: bool) -> Iterator[list[Any]]:
+    keys = ("controller_success", "success")
     entries = [key for key in episodes if f"controller_{key}" in episodes]
     for i in range(len(episodes["return"])):
-        solved = [bool(episodes[k][i]) for k in ("controller_success", "success") if k in episodes]
+        solved = tuple(bool(episodes[k][i]) for k in keys if k in episodes) if frozen else ()
         for key in entries:
             pair = float(episodes[f"controller_{key}"][i]), float(episodes[key][i])
-            yield [i, OUTCOMES.get(tuple(solved)), key, *pair]
+            yield [i, OUTCOMES.get(solved), key, *pair]
 
 
 def terminal_tables(results: Results, units: Mapping[str, str], title: str) -> Blocks:
@@ -168,7 +249,7 @@ def terminal_tables(results: Results, units: Mapping[str, str], title: str) -> B
         tables.append(Table(*header))
         for row in rows:
             tables[1].add_row(*row)
-    return Blocks(*tables, f"{count} final episodes a scenario. {NOTE}")
+    return Blocks(*tables, f"{count} final episodes a scenario. {' '.join(notes(results))}")
 
 
 def markdown_tables(results: Results, units: Mapping[str, str]) -> str:
@@ -177,4 +258,4 @@ def markdown_tables(results: Results, units: Mapping[str, str]) -> str:
     for header, rows in ((COLUMNS, success_rows(results)), quantity_rows(results, units)):
         lines = ["| " + " | ".join(row) + " |" for row in (header, *rows)]
         blocks.append("\n".join([lines[0], "|" + "---|" * len(header), *lines[1:]]))
-    return "\n\n".join([*blocks, NOTE, ""])
+    return "\n\n".join([*blocks, *notes(results), ""])

@@ -14,6 +14,7 @@ Layout, below the run's directory::
                 agent/               parameters, targets, optimizers, update counter
                 collection/          physics, transforms, exploration, what the policy sees next;
                                      where collection overlaps, the parameters to act with
+                handed_over/         the agent when its policy was accepted; what tests have used up
                 generator/           what sampling and updates draw from
                 progress/            counters
                 replay/              position in transitions/
@@ -180,11 +181,22 @@ def saved_config(run_dir: Path) -> dict[str, Any] | None:
     return None
 
 
-def load_agent(run_dir: Path, agent: Any) -> Path:
-    """Restore only the agent from a run's newest whole checkpoint, for evaluation."""
-    path, _, _ = newest_whole(run_dir)
-    Checkpoint().register("agent", agent, adapter=_WeightsOnly()).load(path, components=["agent"])
-    return path
+def load_components(run_dir: Path, components: Mapping[str, Any]) -> tuple[Path, int]:
+    """Restore some components from a run's newest whole checkpoint, for evaluation.
+
+    Args:
+        run_dir: the run's directory.
+        components: what to restore, by the name that it was saved under.
+
+    Returns:
+        The checkpoint, and the environment steps at which it was made.
+    """
+    path, note, _ = newest_whole(run_dir)
+    checkpoint = Checkpoint()
+    for name, component in components.items():
+        checkpoint.register(name, component, adapter=_WeightsOnly())
+    checkpoint.load(path, components=list(components))
+    return path, int(note["env_steps"])
 
 
 def _found(folder: Path) -> list[Path]:

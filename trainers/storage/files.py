@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 SEAL = "seal.json"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 
 def write_atomically(path: Path, text: str) -> None:
@@ -55,7 +55,7 @@ def seal(folder: Path, note: Mapping[str, Any]) -> None:
     Layout::
 
         {"sha256": of the canonical JSON of "content",
-         "content": {"version": 1, "files": {"name": {"bytes": n, "sha256": "..."}}, "note": {...}}}
+         "content": {"version": 2, "files": {"name": {"bytes": n, "sha256": "..."}}, "note": {...}}}
     """
     files = sorted(p for p in folder.rglob("*") if p.is_file())
     inventory = {

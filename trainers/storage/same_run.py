@@ -18,6 +18,7 @@ MAY_CHANGE = (
     "trainer.profile",
     "trainer.threads",
     "trainer.evaluation.*",
+    "trainer.acceptance.episodes",
     "trainer.checkpoint.*",
     "env.base.num_threads",
     "env.scenarios*",

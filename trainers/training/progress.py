@@ -89,8 +89,9 @@ def _above_the_bar() -> Iterator[None]:
 
 
 def describe(comparison: Comparison) -> str:
-    """Return one line: success of residual and controller, or returns without success."""
+    """Return one line: success of residual, controller and what is handed over, or returns."""
     summary = comparison.summary()
     key, form = ("success", "{:.0%}") if "success" in summary else ("return", "{:.2f}")
-    residual, controller = summary[key], summary[f"controller_{key}"]
-    return f"{key}: residual {form.format(residual)}, controller {form.format(controller)}"
+    shown = {"residual": key, "controller": f"controller_{key}", "handed over": f"accepted_{key}"}
+    parts = [f"{who} {form.format(summary[e])}" for who, e in shown.items() if e in summary]
+    return f"{key}: {', '.join(parts)}"

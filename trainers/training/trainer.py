@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from tensordict.nn import TensorDictModuleBase
 from torchrl.checkpoint import GlobalRNGState
 
 from rrl.algorithms import Agent
@@ -25,6 +26,7 @@ from ..storage.finite import require_finite
 from ..storage.replay_store import ReplayStore
 from ..storage.run_files import DERIVED
 from ..storage.same_run import require_same_run
+from .acceptance import Acceptance
 from .background_collection import InBackground
 from .collection import Collection, Exploration, InTurn, Metrics
 from .interruption import Interruption
@@ -97,6 +99,7 @@ class Trainer:
         )
         self.replay = self.store.replay
         self.evaluator = Evaluator(scenarios or {"training": environment}, settings.evaluation)
+        self.acceptance = Acceptance(settings, self.agent, self.evaluator)
         self.generator = LearnerGenerator(settings.seed)
         self.counters: dict[str, int] = {"env_steps": 0, "restarts": 0}
         self._resumed = False
@@ -104,6 +107,7 @@ class Trainer:
             "agent": self.agent,
             "collection": self.collection,
             "replay": self.store,
+            "handed_over": self.acceptance,
             "generator": self.generator,
             "progress": _Counters(self.counters),
         }
@@ -114,6 +118,11 @@ class Trainer:
     def env_steps(self) -> int:
         """Environment steps so far."""
         return self.counters["env_steps"]
+
+    @property
+    def policy(self) -> TensorDictModuleBase:
+        """What the run hands over so far: the controller's alone until a policy is accepted."""
+        return self.acceptance.handed_over.policy
 
     def resume(self) -> Path:
         """Continue from the run's newest checkpoint that is whole.
@@ -148,7 +157,8 @@ class Trainer:
         """Train to ``total_steps``, evaluate every scenario, save.
 
         Returns:
-            For every scenario the comparison with the controller.
+            For every scenario the learner's comparison with the controller, and in its
+            ``handed_over`` that of :attr:`policy`.
 
         Raises:
             Interrupted: If a signal asked for it; the run is saved.
@@ -162,6 +172,7 @@ class Trainer:
         GlobalRNGState().load_state_dict(self._generators)
         for logger in self.loggers:
             logger.start(self.run_dir, self.config, self.env_steps)
+        self.acceptance.announce(self.env_steps)
         progress = self.progress.training(settings.total_steps, self.env_steps)
         with self.interruption.listening(), progress:
             if self.env_steps == 0:
@@ -218,7 +229,7 @@ class Trainer:
         self.profile.add(values, self.settings.steps_per_round)
         with self.stopwatch("log"):
             self._log(values)
-        if self._due(self.settings.evaluation.every):
+        if self._evaluation_due():
             with self.stopwatch("evaluate"):
                 self._evaluate()
         self.progress.advance(self.settings.steps_per_round)
@@ -279,20 +290,26 @@ class Trainer:
     def _due(self, every: int) -> bool:
         return bool(every) and self.env_steps % every == 0
 
+    def _evaluation_due(self) -> bool:
+        """Evaluate at the end too, where what is handed over depends on it."""
+        ends = self.settings.acceptance is not None and self.env_steps >= self.settings.total_steps
+        return ends or self._due(self.settings.evaluation.every)
+
     def _evaluate(self) -> None:
         episodes = self.settings.evaluation.episodes
         followed = self.evaluator.followed
-        comparison = self.evaluator.compare(self.agent.policy, followed, Stream.FOLLOWING, episodes)
+        latest = self.evaluator.compare(self.agent.policy, followed, Stream.FOLLOWING, episodes)
+        comparison, tested = self.acceptance.consider(latest, self.env_steps)
         self.progress.show(comparison, self.env_steps)
-        self._log(metrics.evaluation(metrics.EVALUATION, followed, comparison.summary()))
+        self._log(metrics.evaluation(metrics.EVALUATION, followed, comparison.summary()) | tested)
 
     def _evaluate_all(self) -> dict[str, Comparison]:
         results = {}
         episodes = self.settings.evaluation.final_episodes
         for scenario in self.progress.track(self.evaluator.scenarios, "evaluating"):
             self._stop_if_asked()
-            results[scenario] = self.evaluator.compare(
-                self.agent.policy, scenario, Stream.FINAL, episodes
+            results[scenario] = self.acceptance.handed_over.compare(
+                self.evaluator, self.env_steps, scenario, Stream.FINAL, episodes
             )
             self._log(metrics.evaluation(metrics.FINAL, scenario, results[scenario].summary()))
         return results

@@ -198,6 +198,7 @@ def test_only_the_episodes_that_count_are_played(factory, slots, episodes):
     made = replace(factory, base=lambda num_envs=1: Counting([num_envs]))
     evaluator = Evaluator({"one": made}, EvaluationSettings(slots=slots))
     env = made.make(1)
+    assert evaluator.is_frozen("one")
     Counting.steps = 0
     first = evaluator.compare(ZERO, "one", Stream.FINAL, episodes)
     batches = -(-episodes // slots)

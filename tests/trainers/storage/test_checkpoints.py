@@ -12,7 +12,7 @@ import torch
 from rrl.algorithms import TD3, mlp
 from rrl.trainers.settings import CheckpointSettings
 from rrl.trainers.storage import files
-from rrl.trainers.storage.checkpoints import load_agent
+from rrl.trainers.storage.checkpoints import load_components
 from rrl.trainers.storage.same_run import differences, require_same_run
 from toy_envs import EPISODE_STEPS
 
@@ -85,7 +85,8 @@ def test_a_torn_checkpoint_is_named_and_the_one_before_is_used(stopped, make, ca
     trainer.run()
     trainer.close()
     assert newest(stopped).name == "checkpoint-000000000200.torn"
-    assert load_agent(stopped, trainer.agent).name == torn.name  # written anew
+    path, env_steps = load_components(stopped, {"agent": trainer.agent})
+    assert (path.name, env_steps) == (torn.name, 200)  # written anew
 
 
 def test_when_none_is_whole_every_reason_is_given(stopped, make):
@@ -100,9 +101,9 @@ def test_when_none_is_whole_every_reason_is_given(stopped, make):
 
 
 def test_another_schema_version_is_named(stopped, make, monkeypatch):
-    monkeypatch.setattr(files, "SCHEMA_VERSION", 2)
+    monkeypatch.setattr(files, "SCHEMA_VERSION", 3)
     trainer = make()
-    with pytest.raises(ValueError, match="written with schema version 1, this code reads 2"):
+    with pytest.raises(ValueError, match="written with schema version 2, this code reads 3"):
         trainer.resume()
     trainer.close()
 

@@ -1,0 +1,247 @@
+"""What a run hands over is the controller, until a policy passes the test against it."""
+
+import json
+import logging
+from collections import Counter
+from dataclasses import replace
+from functools import partial
+from typing import ClassVar
+
+import numpy as np
+import pytest
+import torch
+from runs import assert_same
+
+from rrl.algorithms import TD3, mlp
+from rrl.algorithms.networks import last_layer
+from rrl.trainers import AcceptanceSettings, EvaluationSettings
+from rrl.trainers.evaluation.episodes import write_results
+from rrl.trainers.loggers import read_metrics
+from rrl.trainers.report.tables import notes, one_run, success_rows
+from rrl.trainers.seeds import Stream, first_seed
+from toy_envs import DRIFT, STEP_SIZE, PointMass
+
+DEFAULT = AcceptanceSettings()
+EPISODES = EvaluationSettings(every=100, episodes=20, final_episodes=20, slots=10)
+
+
+def say(trainer, x):
+    """Have the learner's policy say ``x`` along the drift, whatever it reads."""
+    layer = last_layer(trainer.agent.policy)
+    with torch.no_grad():
+        layer.weight.zero_()
+        layer.bias.zero_()
+        layer.bias[0] = float(np.arctanh(x))
+    trainer.agent.num_updates = 1
+
+
+def action(policy, trainer):
+    """What a policy says in a state, ``[2]``."""
+    env = trainer.evaluator.scenarios["drift"].make(1)
+    return policy(env.reset())["action"][0].detach()
+
+
+def consider(trainer, env_steps):
+    """Evaluate the learner's policy on the followed episodes, and let it be tested."""
+    found = trainer.evaluator.compare(
+        trainer.agent.policy, "drift", Stream.FOLLOWING, EPISODES.episodes
+    )
+    return trainer.acceptance.consider(found, env_steps)
+
+
+@pytest.fixture
+def make(make_trainer):
+    """Builds a trainer with the default test."""
+
+    def make(run_dir="run", **changes):
+        return make_trainer(run_dir, **{"acceptance": DEFAULT, "evaluation": EPISODES, **changes})
+
+    return make
+
+
+STUBBORN = partial(TD3, network=partial(mlp, hidden=[16]), gamma=0.9, actor_lr=1e-12)
+"""A learner that stays with what it was told to say."""
+AGAINST = -DRIFT / STEP_SIZE
+"""What solves every episode: it removes the drift."""
+
+
+def test_until_a_policy_passes_the_run_hands_over_the_controller(make):
+    with make() as trainer:
+        found, values = consider(trainer, 0)  # it has learned nothing, and is the controller
+        assert values["acceptance/episodes"] == 0
+        assert (action(trainer.policy, trainer) == 0).all()
+        assert found.accepted is found.controller
+        say(trainer, AGAINST)
+        found, values = consider(trainer, 100)
+        assert values["acceptance/accepted"] == 1
+        assert values["acceptance/evidence"] >= 1
+        assert 0 < values["acceptance/episodes"] <= 20
+        assert found.accepted is found.residual
+        assert found.summary()["accepted_env_steps"] == 100
+        torch.testing.assert_close(action(trainer.policy, trainer), torch.tensor([AGAINST, 0.0]))
+
+
+def test_what_the_learner_becomes_afterwards_changes_nothing(make, tmp_path):
+    with make() as trainer:
+        say(trainer, AGAINST)
+        good, _ = consider(trainer, 100)
+        for x in (0.9, 0.0, -0.2):  # worse than the controller, as good, better by less
+            say(trainer, x)
+            found, values = consider(trainer, 200)
+            assert values["acceptance/episodes"] == 0
+            assert (found.accepted.returns == good.residual.returns).all()
+            assert found.accepted_env_steps == 100
+        expected = action(trainer.policy, trainer)
+        state = trainer.acceptance.state_dict()
+        with make("other") as other:
+            say(other, 0.5)
+            other.acceptance.load_state_dict(state)
+            assert torch.equal(action(other.policy, other), expected)
+            assert action(other.agent.policy, other)[0] == pytest.approx(0.5)
+            say(other, 0.9)
+            found, _ = consider(other, 300)  # plays the accepted policy again
+            assert (found.accepted.returns == good.residual.returns).all()
+            assert_same(other.acceptance.state_dict(), state)
+            assert other.acceptance.handed_over.restore_learner()
+            assert torch.equal(action(other.agent.policy, other), expected)
+
+
+def test_a_policy_that_promises_more_and_is_worse_is_not_taken(make, factory):
+    """It is chosen by episodes that are not the ones it is tested on."""
+
+    class Deceiving(PointMass):
+        """Without drift, but on the followed episodes."""
+
+        def _set_seed(self, seed):
+            super()._set_seed(seed)
+            following = seed is not None and seed >> 29 == Stream.FOLLOWING
+            self._drift = torch.tensor([DRIFT if following else 0.0, 0.0])
+
+    with make(environment=replace(factory, base=lambda num_envs=1: Deceiving([num_envs]))) as made:
+        say(made, AGAINST)
+        found, values = consider(made, 100)
+        assert found.residual.success.mean() > found.controller.success.mean()
+        assert values["acceptance/episodes"] > 0
+        assert values["acceptance/accepted"] == 0
+        assert values["acceptance/alpha_left"] < DEFAULT.alpha
+        assert (action(made.policy, made) == 0).all()
+
+
+class Logged(PointMass):
+    """Writes down every seed it is given."""
+
+    seeds: ClassVar = Counter()
+
+    def _set_seed(self, seed):
+        Logged.seeds[seed] += 1
+        super()._set_seed(seed)
+
+
+def test_no_candidate_sees_an_episode_that_anything_has_seen_before(make, factory):
+    environment = replace(factory, base=lambda num_envs=1: Logged([num_envs]))
+    with make(environment=environment, seed=3) as trainer:
+        Logged.seeds.clear()
+        played = 0
+        for n, x in enumerate((-0.2, -0.4, AGAINST)):
+            say(trainer, x)
+            _, values = consider(trainer, 100 * (n + 1))
+            assert values["acceptance/episodes"] > 0
+            played += int(values["acceptance/episodes"])
+        seeds = {s: n for s, n in Logged.seeds.items() if s >> 29 == Stream.ACCEPTANCE}
+        first = first_seed(Stream.ACCEPTANCE, 3)
+        assert set(seeds.values()) == {2}  # once by the policy and once by the controller
+        assert sorted(seeds) == list(range(first, first + played, 10))  # ten slots side by side
+
+
+class Silent(PointMass):
+    """Reports no success."""
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        del self.observation_spec["success"]
+
+    def _observe(self):
+        return {k: v for k, v in super()._observe().items() if k != "success"}
+
+
+class Restless(PointMass):
+    """Starts where a generator of its own says, whatever its seed is."""
+
+    def _set_seed(self, seed):
+        pass
+
+
+@pytest.mark.parametrize("kind", [Silent, Restless])
+def test_returns_stand_in_for_success_and_independent_samples_for_pairs(make, factory, kind):
+    environment = replace(factory, base=lambda num_envs=1: kind([num_envs]))
+    with make(environment=environment) as trainer:
+        say(trainer, 0.5)
+        _, values = consider(trainer, 100)
+        assert values["acceptance/accepted"] == 0
+        say(trainer, AGAINST)
+        found, values = consider(trainer, 200)
+        assert values["acceptance/accepted"] == 1
+        assert found.frozen == (kind is Silent)
+        assert (found.residual.success is None) == (kind is Silent)
+
+
+def test_a_run_reports_both_the_latest_policy_and_what_it_hands_over(make, tmp_path, caplog):
+    caplog.set_level(logging.INFO, "rrl")
+    with make(total_steps=300, agent=STUBBORN) as trainer:
+        say(trainer, AGAINST)
+        consider(trainer, 100)
+        say(trainer, 0.9)  # of the learner; it is worse than the controller
+        results = trainer.run()
+    assert "acceptance: at most 1200 episodes in 3 evaluations" in caplog.text
+    summary = results["drift"].summary()
+    assert summary["accepted_success"] > summary["controller_success"] == 0
+    assert summary["success"] == 0
+    assert summary["accepted_rescues"] == 20 * summary["accepted_success"]
+    record = read_metrics(trainer.run_dir)
+    assert [step for step, _ in record["eval/drift/accepted_success"]] == [0, 100, 200, 300]
+    assert {v for _, v in record["eval/drift/accepted_env_steps"]} == {100}
+    rows = success_rows(one_run(results))
+    assert [row[0] for row in rows] == ["drift", "drift, handed over"]
+    assert rows[0][1] == rows[1][1]
+    assert float(rows[1][2].split()[0]) == pytest.approx(100 * summary["accepted_success"], abs=0.1)
+    assert "Handed over: the policy after 100 environment steps" in notes(one_run(results))[-1]
+    write_results(results, tmp_path / "results.json")
+    content = json.loads((tmp_path / "results.json").read_text())["drift"]
+    assert sum(content["episodes"]["accepted_success"]) == summary["accepted_rescues"]
+    handed_over = results["drift"].handed_over
+    assert handed_over.summary()["success"] == summary["accepted_success"]
+
+
+def test_a_run_in_which_no_policy_passes_says_so(make):
+    only_at_the_end = EvaluationSettings(every=0, final_episodes=10)
+    with make(total_steps=120, agent=STUBBORN, evaluation=only_at_the_end) as made:
+        say(made, 0.9)
+        results = made.run()
+        assert (action(made.policy, made) == 0).all()
+    compared = results["drift"]
+    assert compared.accepted is compared.controller
+    assert "Handed over: the controller alone." in notes(one_run(results))[-1]
+    record = read_metrics(made.run_dir)
+    assert [step for step, _ in record["acceptance/episodes"]] == [120]  # at the end alone
+
+
+def test_without_a_test_the_latest_policy_is_handed_over(make, caplog):
+    caplog.set_level(logging.INFO, "rrl")
+    with make(acceptance=None) as trainer:
+        results = trainer.run()
+        assert trainer.policy is trainer.agent.policy
+    assert results["drift"].accepted is None
+    assert results["drift"].handed_over.residual is results["drift"].residual
+    assert not [name for name in read_metrics(trainer.run_dir) if "accept" in name]
+    assert "accept" not in caplog.text
+    assert [row[0] for row in success_rows(one_run(results))] == ["drift"]
+    assert len(notes(one_run(results))) == 1
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"margin": 0.0}, {"margin": 1.0}, {"alpha": 0.0}, {"alpha": 1.0}, {"episodes": 0}]
+)
+def test_settings_out_of_range_are_named(wrong):
+    (name,) = wrong
+    with pytest.raises(ValueError, match=name):
+        AcceptanceSettings(**wrong)

@@ -1,0 +1,160 @@
+"""When a run hands over a new policy: it has to pass a test against the controller."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rrl.algorithms import Agent
+
+from ..evaluation.episodes import Comparison, Episodes
+from ..evaluation.evaluator import Evaluator
+from ..evaluation.sequential import ErrorBudget, NotWorseTest
+from ..loggers import metrics
+from ..seeds import Stream, first_seed
+from ..settings import TrainerSettings
+from .run_policy import RunPolicy
+
+__all__ = ["Acceptance"]
+
+SIDE_BY_SIDE = 20
+"""Episodes of a batch between two looks: a much better policy needs no more."""
+
+log = logging.getLogger(__name__)
+
+
+class Acceptance:
+    """Decides what a run hands over.
+
+    The learner's policy is a candidate if it is better, on the followed episodes, than what the run
+    would hand over: by its success rate, at equal rates by its return. It is taken if a
+    sequential test on episodes that nothing else has seen shows that it is not worse than the
+    controller. The error of all candidates of a run together is bounded; see
+    :mod:`~rrl.trainers.evaluation.sequential`.
+
+    Args:
+        settings: The run's; without ``acceptance`` nothing is tested.
+        agent: The learner.
+        evaluator: Plays the episodes.
+
+    Attributes:
+        handed_over: What the run hands over.
+    """
+
+    def __init__(self, settings: TrainerSettings, agent: Agent, evaluator: Evaluator) -> None:
+        self._run, self.settings = settings, settings.acceptance
+        self.agent, self.evaluator = agent, evaluator
+        self.handed_over = RunPolicy(agent, tested=self.settings is not None)
+        self._first_seed = first_seed(Stream.ACCEPTANCE, settings.seed)
+        self._played = 0
+        self._budget = ErrorBudget(self.settings.alpha if self.settings else 0.0)
+        self._followed: Episodes | None = None  # of what is handed over
+
+    def announce(self, env_steps: int) -> None:
+        """Say what testing may cost from ``env_steps`` on."""
+        if self.settings is None:
+            return
+        total, every = self._run.total_steps, self._run.evaluation.every or self._run.total_steps
+        past = max(env_steps, self._run.warmup_steps - 1)  # no policy has learned before
+        if (evaluations := (-(-total // every) - past // every) if total > past else 0) > 0:
+            log.info(
+                "acceptance: at most %d episodes in %d evaluations, beside the evaluations' own: "
+                "%d pairs of policy and controller each; a test ends as soon as it is decided",
+                2 * self.settings.episodes * evaluations,
+                evaluations,
+                self.settings.episodes,
+            )
+
+    def consider(self, comparison: Comparison, env_steps: int) -> tuple[Comparison, dict[str, Any]]:
+        """Test the learner's policy if it is a candidate, and take it if it passes.
+
+        Args:
+            comparison: Of the learner's policy, on the followed episodes.
+            env_steps: Environment steps that it has learned from.
+
+        Returns:
+            The comparison with what the run would hand over beside it, and metrics.
+        """
+        if self.settings is None:
+            return comparison, {}
+        played, test = 0, self._budget.test(self.settings.margin)
+        if self._is_candidate(comparison):
+            played = self._test(test, self._scale(comparison.controller))
+            self._budget.settle(test)
+            if test.accepted:
+                self.handed_over.take(env_steps)
+                self._followed = comparison.residual
+        values = {
+            "episodes": played,
+            "evidence": test.wealth * test.alpha if played else 0.0,
+            "accepted": float(test.accepted),
+            "alpha_left": self._budget.left,
+        }
+        named = {metrics.name(metrics.ACCEPTANCE, key): value for key, value in values.items()}
+        beside = self.handed_over.beside(comparison, env_steps, lambda _: self._now(comparison))
+        return beside, named
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what is handed over, how many episodes are used up, and the error that is left."""
+        state = {"played": self._played, "alpha_left": self._budget.left}
+        return self.handed_over.state_dict() | state
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Restore :meth:`state_dict`."""
+        self.handed_over.load_state_dict(state)
+        self._played, self._budget.left = state["played"], state["alpha_left"]
+        self._followed = None
+
+    def _is_candidate(self, comparison: Comparison) -> bool:
+        """Whether there is a policy that promises more than what is handed over."""
+        learned = self.agent.num_updates > 0
+        return learned and _score(comparison.residual) > _score(self._now(comparison))
+
+    def _now(self, comparison: Comparison) -> Episodes:
+        """The followed episodes of what is handed over; played again after a resume."""
+        if self.handed_over.env_steps == 0:
+            return comparison.controller
+        if self._followed is None:
+            self._followed = self.evaluator.play(
+                self.handed_over.policy,
+                self.evaluator.followed,
+                Stream.FOLLOWING,
+                len(comparison.residual.returns),
+            )
+        return self._followed
+
+    def _test(self, test: NotWorseTest, scale: float) -> int:
+        """Play until the test is decided or the episodes are used up; return how many pairs."""
+        assert self.settings is not None
+        scenario, played = self.evaluator.followed, 0
+        at_a_time = self.evaluator.side_by_side(scenario, SIDE_BY_SIDE)
+        while not test.decided and played < self.settings.episodes:
+            count = min(at_a_time, self.settings.episodes - played)
+            seed = self._first_seed + self._played
+            policy, alone = self.evaluator.pairs(self.agent.policy, scenario, seed, count)
+            self._played, played = self._played + count, played + count
+            test.add(_outcomes(policy, scale) - _outcomes(alone, scale))
+        return played
+
+    @staticmethod
+    def _scale(controller: Episodes) -> float:
+        """What a difference of 1 is: a success, or the range of the controller's returns."""
+        if controller.success is not None:
+            return 1.0
+        largest = float(np.abs(controller.returns).max())
+        return float(np.ptp(controller.returns)) or largest or 1.0
+
+
+def _outcomes(episodes: Episodes, scale: float) -> NDArray[np.float64]:
+    found = episodes.returns if episodes.success is None else episodes.success
+    return found.astype(np.float64) / scale
+
+
+def _score(episodes: Episodes) -> tuple[float, float]:
+    """Success rate, then return."""
+    rate = 0.0 if episodes.success is None else float(episodes.success.mean())
+    return rate, float(episodes.returns.mean())
