@@ -27,6 +27,7 @@ SMALL = [
     "trainer.warmup_steps=50",
     "trainer.batch_size=16",
     "trainer.evaluation={every: 50, episodes: 2, final_episodes: 2, slots: 2}",
+    "trainer.acceptance.episodes=2",
     "trainer.checkpoint.every=0",
 ]
 
