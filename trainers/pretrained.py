@@ -134,9 +134,7 @@ def start_from(agent: Agent, config: Config) -> None:
     if trained.handed_over.restore_learner():
         agent.start_from(trained.agent)
     else:
-        log.warning(
-            "init_from.run: %s hands over the controller alone: starting from scratch", path
-        )
+        log.warning("init_from.run: %s hands over the controller; starting from scratch", path)
 
 
 def policy_controller(run: str | None = None, out_key: str = BASE_ACTION) -> Controller:
