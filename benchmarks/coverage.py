@@ -11,7 +11,7 @@ import argparse
 
 import numpy as np
 
-from rrl.trainers.evaluation.statistics import paired_interval, success_interval
+from rrl.trainers.evaluation.statistics import paired_interval, success_interval, unpaired_interval
 
 EPISODES = 100
 MEANS = (0.5, 0.7, 0.9, 0.95, 0.99)
@@ -57,13 +57,25 @@ def paired_coverage(
     return _coverage(np.array(found), policy - controller)
 
 
+def unpaired_coverage(
+    controller: float, policy: float, spread: float, runs: int, studies: int, seed: int = 0
+) -> tuple[float, float]:
+    """Return the same of :func:`unpaired_interval`, where every run has episodes of its own."""
+    rng, found = np.random.default_rng(seed), []
+    for _ in range(studies):
+        solved = rng.random((runs, EPISODES)) < rates(policy, spread, (runs, 1), rng)
+        alone = rng.random((runs, EPISODES)) < controller
+        found.append(unpaired_interval(solved, alone, bound=1.0))
+    return _coverage(np.array(found), policy - controller)
+
+
 def _coverage(intervals: np.ndarray, truth: float) -> tuple[float, float]:
     low, high = intervals.T
     return float(np.mean((low <= truth) & (truth <= high))), float(np.mean(high - low))
 
 
 def main() -> None:
-    """Print both tables."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--studies", type=int, default=2000, help="simulated studies a cell")
     studies = parser.parse_args().studies
@@ -76,17 +88,18 @@ def main() -> None:
         row = " | ".join(f"{100 * c:.1f} ({100 * w:.1f})" for c, w in found)
         print(f"| {100 * mean:g} | {100 * spread:g} | {row} |", flush=True)
     pairs = [(0.1, 0.8), (0.5, 0.9), (0.9, 0.95), (0.9, 0.99), (0.95, 0.95)]
-    print("\nthe same of paired_interval, policy less controller\n")
-    print("| controller, policy [%] | spread [points] | 1 run | 3 runs | 10 runs |")
-    print("|---|---|---|---|---|")
-    for controller, policy in pairs:
-        for spread in (0.0, 0.02, 0.05):
-            found = [
-                paired_coverage(controller, policy, spread if n > 1 else 0.0, n, studies)
-                for n in (1, 3, 10)
-            ]
-            row = " | ".join(f"{100 * c:.1f} ({100 * w:.1f})" for c, w in found)
-            print(f"| {100 * controller:g}, {100 * policy:g} | {100 * spread:g} | {row} |")
+    for name, simulate in (("paired", paired_coverage), ("unpaired", unpaired_coverage)):
+        print(f"\nthe same of {name}_interval, policy less controller\n")
+        print("| controller, policy [%] | spread [points] | 1 run | 3 runs | 10 runs |")
+        print("|---|---|---|---|---|")
+        for controller, policy in pairs:
+            for spread in (0.0, 0.02, 0.05):
+                found = [
+                    simulate(controller, policy, spread if n > 1 else 0.0, n, studies)
+                    for n in (1, 3, 10)
+                ]
+                row = " | ".join(f"{100 * c:.1f} ({100 * w:.1f})" for c, w in found)
+                print(f"| {100 * controller:g}, {100 * policy:g} | {100 * spread:g} | {row} |")
 
 
 if __name__ == "__main__":

@@ -43,6 +43,7 @@ SETTINGS = [
     "trainer.evaluation.episodes=2",
     "trainer.evaluation.final_episodes=2",
     "trainer.evaluation.slots=2",
+    "trainer.acceptance.episodes=2",
     "trainer.checkpoint.every=20",
     "render.enabled=false",
 ]

@@ -30,6 +30,7 @@ SETTINGS = [
     "trainer.evaluation.every=1000",
     "trainer.evaluation.episodes=10",
     "trainer.evaluation.slots=10",
+    "trainer.acceptance.episodes=10",
     "trainer.checkpoint.every=500",
     "logger=[csv,tensorboard]",
     "algorithm=td3",

@@ -13,9 +13,10 @@ def main(run_dir="outputs/frozen_policy", **settings):
     """Train a policy without a controller, then a residual on that policy; return the second comparison."""
     point = partial(EnvironmentFactory, base=Point, inputs=["position", "goal"], batching="serial")
     alone = point(controller=partial(ZeroController, action_size=2))
-    with Trainer(TrainerSettings(**settings), alone, run_dir=f"{run_dir}/alone") as trainer:
+    untested = TrainerSettings(**settings | {"acceptance": {"enabled": False}})  # by no controller
+    with Trainer(untested, alone, run_dir=f"{run_dir}/alone") as trainer:
         trainer.run()
-    policy = trainer.agent.policy  # reads position and goal
+    policy = trainer.policy  # reads position and goal
     torch.save(policy.state_dict(), f"{run_dir}/policy.pt")
 
     environment = point(

@@ -45,6 +45,7 @@ SETTINGS = {
                 "trainer.steps_per_collection=20",
                 "trainer.batch_size=16",
                 "trainer.evaluation={every: 100, episodes: 4, final_episodes: 4, slots: 4}",
+                "trainer.acceptance.episodes=4",
                 "trainer.checkpoint.every=100",
             ],
         }

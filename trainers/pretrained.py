@@ -105,8 +105,7 @@ def trained_run(config: Config, run_dir: Path) -> TrainedRun:
         inputs=factory.read_inputs(env), action_size=env.full_action_spec[ACTION].shape[-1]
     )
     env.close()
-    tested = assembly.settings(config).acceptance is not None
-    handed_over = RunPolicy(agent, tested)
+    handed_over = RunPolicy(agent, assembly.settings(config).acceptance.enabled)
     found = load_components(run_dir, {"agent": agent, "handed_over": handed_over})
     return TrainedRun(*found, agent, handed_over)
 
@@ -135,9 +134,7 @@ def start_from(agent: Agent, config: Config) -> None:
     if trained.handed_over.restore_learner():
         agent.start_from(trained.agent)
     else:
-        log.warning(
-            "init_from.run: %s hands over the controller alone: starting from scratch", path
-        )
+        log.warning("init_from.run: %s hands over the controller; starting from scratch", path)
 
 
 def policy_controller(run: str | None = None, out_key: str = BASE_ACTION) -> Controller:

@@ -109,6 +109,7 @@ class AcceptanceSettings(_Settings):
     """The test that a policy has to pass before the run hands it over.
 
     Attributes:
+        enabled: Whether there is a test; without it the run hands over its latest policy.
         margin: How much worse than the controller a policy may be, in success rate; where no
             success is reported, in shares of the range of the controller's returns.
         alpha: Probability, at most, that a run ever hands over a policy that is worse than that.
@@ -117,6 +118,7 @@ class AcceptanceSettings(_Settings):
     """
 
     section = "acceptance"
+    enabled: bool = IN_YAML
     margin: Annotated[float, Field(gt=0, lt=1)] = IN_YAML
     alpha: Annotated[float, Field(gt=0, lt=1)] = IN_YAML
     episodes: Positive = IN_YAML
@@ -165,7 +167,7 @@ class TrainerSettings(_Settings):
         matmul_precision: ``highest`` for float32 products, ``medium`` for bfloat16 products under
             float32.
         evaluation: See :class:`EvaluationSettings`.
-        acceptance: See :class:`AcceptanceSettings`; None hands over the latest policy, untested.
+        acceptance: See :class:`AcceptanceSettings`.
         checkpoint: See :class:`CheckpointSettings`.
     """
 
@@ -187,7 +189,7 @@ class TrainerSettings(_Settings):
     flush_denormals: bool = IN_YAML
     matmul_precision: Literal["highest", "high", "medium"] = IN_YAML
     evaluation: EvaluationSettings = IN_YAML
-    acceptance: AcceptanceSettings | None = IN_YAML
+    acceptance: AcceptanceSettings = IN_YAML
     checkpoint: CheckpointSettings = IN_YAML
 
     @property

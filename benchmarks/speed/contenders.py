@@ -220,6 +220,7 @@ def main() -> None:
             "trainer.evaluation.final_episodes=1",
             f"trainer.evaluation.slots={options.episodes if options.every else 1}",
             "trainer.checkpoint.every=0",
+            "trainer.acceptance.enabled=false",
             *switches,
             *options.overrides,
         ],

@@ -26,7 +26,8 @@ TINY = {
     "steps_per_collection": 10,
     "batch_size": 8,
     "buffer_capacity": 100,
-    "evaluation": {"every": 0, "final_episodes": 1},
+    "evaluation": {"every": 0, "episodes": 1, "final_episodes": 1},
+    "acceptance": {"episodes": 2},
     "checkpoint": {"every": 0},
 }
 MAX_LINES = 15

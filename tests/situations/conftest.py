@@ -24,6 +24,7 @@ SETTINGS = {
     "updates_per_step": 0.5,
     "buffer_capacity": 1000,
     "evaluation": {"every": 0, "episodes": 2, "final_episodes": 2, "slots": 2},
+    "acceptance": {"episodes": 2},
     "checkpoint": {"every": 40},
 }
 KILLED_AT = 60  # environment steps; the newest checkpoint is of 40

@@ -1,14 +1,17 @@
 """An earlier run as the start of another one: initial weights, a controller, a recorded sequence."""
 
+import numpy as np
 import pytest
 import torch
 import yaml
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
+from rrl.algorithms.networks import last_layer
 from rrl.trainers.configuration import build as assembly
 from rrl.trainers.configuration import checks
 from rrl.trainers.evaluation.episodes import write_results
+from rrl.trainers.evaluation.evaluator import Evaluator
 from rrl.trainers.loggers import read_metrics
 from rrl.trainers.pretrained import (
     best_run,
@@ -17,6 +20,7 @@ from rrl.trainers.pretrained import (
     start_from,
     trained_run,
 )
+from rrl.trainers.seeds import Stream
 
 SMALL = [
     "algorithm=td3",
@@ -27,6 +31,7 @@ SMALL = [
     "trainer.warmup_steps=50",
     "trainer.batch_size=16",
     "trainer.evaluation={every: 50, episodes: 2, final_episodes: 2, slots: 2}",
+    "trainer.acceptance.episodes=2",
     "trainer.checkpoint.every=0",
 ]
 
@@ -127,6 +132,67 @@ def test_a_policy_that_does_not_fit_is_refused(alone, tmp_path):
         pytest.raises(ValueError, match="give both runs the same env"),
     ):
         start_from(trainer.agent, config)
+
+
+@pytest.fixture
+def residual(tmp_path):
+    """Makes a run that took the policy of step 50, or none, and went on learning after it."""
+
+    def make(accepted):
+        config, run_dir = resolve("env=insertion-sim"), tmp_path / "residual"
+        with assembly.trainer(config, run_dir) as trainer:
+            if accepted:
+                move(trainer.agent, 0.3)
+                trainer.acceptance.handed_over.take(50)
+            move(trainer.agent, -0.2)
+            note = {"transitions": trainer.store.mark(), "config": config}
+            trainer.checkpoints.save(100, note)
+        (run_dir / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
+        return run_dir
+
+    return make
+
+
+def move(agent, by):
+    with torch.no_grad():
+        last_layer(agent.policy).bias.add_(by)
+
+
+@pytest.mark.parametrize("accepted", [True, False])
+def test_a_run_is_used_by_the_policy_that_it_hands_over(residual, tmp_path, accepted):
+    run = residual(accepted)
+    config = config_of(run)
+    env = assembly.environment(config).make(2)
+    td = env.reset()
+    trained = trained_run(config, run)
+    assert trained.env_steps == 100
+    handed_over, latest = (
+        p(td.clone())["action"] for p in (trained.handed_over.policy, trained.agent.policy)
+    )
+    says = {True: np.tanh(0.3), False: 0.0}[accepted]
+    np.testing.assert_allclose(handed_over.detach(), says, atol=1e-6)
+    np.testing.assert_allclose(latest.detach(), np.tanh(0.1 if accepted else -0.2), atol=1e-6)
+    evaluator = Evaluator(assembly.scenarios(config), assembly.settings(config).evaluation)
+    compared = trained.handed_over.compare(evaluator, 100, "aligned", Stream.FINAL, 2)
+    assert compared.accepted_env_steps == (50 if accepted else 0)
+    assert (compared.accepted.returns == compared.controller.returns).all() != accepted
+    assert (compared.accepted.returns != compared.residual.returns).all()
+    evaluator.close()
+    env.close()
+
+
+@pytest.mark.parametrize("accepted", [True, False])
+def test_initial_weights_are_those_of_the_policy_handed_over(residual, tmp_path, accepted, caplog):
+    run = residual(accepted)
+    config = resolve("env=insertion-sim", f"init_from.run='{run}'")
+    with assembly.trainer(config, tmp_path / "next") as trainer:
+        before = {k: v.clone() for k, v in trainer.agent.named_parameters()}
+        start_from(trainer.agent, config)
+        bias = last_layer(trainer.agent.policy).bias.detach()
+        torch.testing.assert_close(bias, torch.full_like(bias, 0.3 if accepted else 0.0))
+        if not accepted:
+            assert all(torch.equal(v, before[k]) for k, v in trainer.agent.named_parameters())
+    assert ("hands over the controller; starting from scratch" in caplog.text) != accepted
 
 
 def test_a_residual_is_no_controller(tmp_path):

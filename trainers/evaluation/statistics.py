@@ -142,10 +142,10 @@ def unpaired_interval(
 ) -> Interval:
     """Return an interval of the difference in means of two arms on episodes of their own.
 
-    Welch's interval. Runs of the first arm differ, so with several of them its error is that of
-    their means; the second arm is the same in all runs, and its episodes count together. With a
-    bound each arm gets one more episode at either end (Agresti and Caffo, 2000): the interval
-    never has zero width.
+    Welch's interval. Runs of the first arm may differ: its error is that of their means where that
+    is larger than the one of all its episodes together. The second arm is the same in all runs.
+    With a bound each arm gets one more episode at either end (Agresti and Caffo, 2000): the
+    interval never has zero width.
 
     Args:
         values: The first arm's, for every run and episode, ``[S, N]``.
@@ -153,20 +153,21 @@ def unpaired_interval(
         bound: The largest possible value, where the least is 0; 1 for successes.
         confidence: Probability of covering.
     """
-    first = np.atleast_2d(np.asarray(values, dtype=float))
-    second = np.asarray(others, dtype=float).ravel()
-    if bound is not None:
-        ends = np.array([0.0, bound])
-        first = np.concatenate([first, np.tile(ends, (len(first), 1))], axis=1)
-        second = np.concatenate([second, ends])
-    arms = [first.mean(axis=1) if len(first) > 1 else first[0], second]
+    runs = np.atleast_2d(np.asarray(values, dtype=float))
+    ends = [] if bound is None else [0.0, bound]
+    arms = [np.append(arm, ends) for arm in (runs, np.asarray(others, dtype=float))]
     if min(map(len, arms)) < 2:
         return NO_INTERVAL
-    parts = [arm.var(ddof=1) / len(arm) for arm in arms]
-    weights = sum(part**2 / (len(arm) - 1) for part, arm in zip(parts, arms, strict=True))
-    freedom = sum(parts) ** 2 / weights if weights else 1.0
-    half = float(np.sqrt(sum(parts)) * stats.t.ppf(0.5 + confidence / 2, freedom))
-    difference = float(first.mean() - second.mean())
+    parts = [(arm.var(ddof=1) / len(arm), len(arm) - 1) for arm in arms]
+    if len(runs) > 1:
+        between = runs.mean(axis=1).var(ddof=1) / len(runs), len(runs) - 1
+        parts[0] = max(parts[0], between)
+    error = sum(part for part, _ in parts)
+    weights = sum(part**2 / freedom for part, freedom in parts)
+    half = float(
+        np.sqrt(error) * stats.t.ppf(0.5 + confidence / 2, error**2 / weights if weights else 1.0)
+    )
+    difference = float(arms[0].mean() - arms[1].mean())
     low, high = difference - half, difference + half
     return (low, high) if bound is None else (max(low, -bound), min(high, bound))
 

@@ -37,7 +37,7 @@ class Acceptance:
     :mod:`~rrl.trainers.evaluation.sequential`.
 
     Args:
-        settings: The run's; without ``acceptance`` nothing is tested.
+        settings: The run's; without ``acceptance.enabled`` nothing is tested.
         agent: The learner.
         evaluator: Plays the episodes.
 
@@ -48,15 +48,15 @@ class Acceptance:
     def __init__(self, settings: TrainerSettings, agent: Agent, evaluator: Evaluator) -> None:
         self._run, self.settings = settings, settings.acceptance
         self.agent, self.evaluator = agent, evaluator
-        self.handed_over = RunPolicy(agent, tested=self.settings is not None)
+        self.handed_over = RunPolicy(agent, self.settings.enabled)
         self._first_seed = first_seed(Stream.ACCEPTANCE, settings.seed)
         self._played = 0
-        self._budget = ErrorBudget(self.settings.alpha if self.settings else 0.0)
+        self._budget = ErrorBudget(self.settings.alpha)
         self._followed: Episodes | None = None  # of what is handed over
 
     def announce(self, env_steps: int) -> None:
         """Say what testing may cost from ``env_steps`` on."""
-        if self.settings is None:
+        if not self.settings.enabled:
             return
         total, every = self._run.total_steps, self._run.evaluation.every or self._run.total_steps
         past = max(env_steps, self._run.warmup_steps - 1)  # no policy has learned before
@@ -79,7 +79,7 @@ class Acceptance:
         Returns:
             The comparison with what the run would hand over beside it, and metrics.
         """
-        if self.settings is None:
+        if not self.settings.enabled:
             return comparison, {}
         played, test = 0, self._budget.test(self.settings.margin)
         if self._is_candidate(comparison):
@@ -129,7 +129,6 @@ class Acceptance:
 
     def _test(self, test: NotWorseTest, scale: float) -> int:
         """Play until the test is decided or the episodes are used up; return how many pairs."""
-        assert self.settings is not None
         scenario, played = self.evaluator.followed, 0
         at_a_time = self.evaluator.side_by_side(scenario, SIDE_BY_SIDE)
         while not test.decided and played < self.settings.episodes:

@@ -292,7 +292,7 @@ class Trainer:
 
     def _evaluation_due(self) -> bool:
         """Evaluate at the end too, where what is handed over depends on it."""
-        ends = self.settings.acceptance is not None and self.env_steps >= self.settings.total_steps
+        ends = self.settings.acceptance.enabled and self.env_steps >= self.settings.total_steps
         return ends or self._due(self.settings.evaluation.every)
 
     def _evaluate(self) -> None:

@@ -209,6 +209,7 @@ def test_a_residual_learns_what_the_controller_does_not_know(algorithm, tmp_path
             steps_per_collection=EPISODE_STEPS,
             batch_size=32,
             evaluation={"every": 0, "final_episodes": 50, "slots": 50},
+            acceptance={"enabled": False},
             checkpoint={"every": 0},
         )
         with Trainer(settings, environment, agent, exploration, tmp_path / str(seed)) as trainer:

@@ -22,6 +22,7 @@ SMALL = [
     "trainer.evaluation.episodes=2",
     "trainer.evaluation.final_episodes=3",
     "trainer.evaluation.slots=3",
+    "trainer.acceptance.episodes=3",
     "trainer.checkpoint.every=50",
 ]
 

@@ -20,6 +20,7 @@ SMALL = [
     "trainer.evaluation.every=50",
     "trainer.evaluation.episodes=2",
     "trainer.evaluation.final_episodes=3",
+    "trainer.acceptance.episodes=2",
     "trainer.checkpoint.every=50",
     "logger=csv",
 ]

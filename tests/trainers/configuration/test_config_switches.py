@@ -28,6 +28,7 @@ SMALL = {
     "steps_per_collection": 20,
     "batch_size": 16,
     "evaluation": {"every": 0, "episodes": 1, "final_episodes": 1, "seed": 0, "slots": 1},
+    "acceptance": {"episodes": 1},
 }
 
 

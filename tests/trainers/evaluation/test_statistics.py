@@ -2,15 +2,18 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from benchmarks import coverage
 from rrl.trainers.evaluation.statistics import (
+    fisher,
     iqm,
     iqm_interval,
     mcnemar,
     mean_interval,
     paired_interval,
     success_interval,
+    unpaired_interval,
     wilson,
 )
 
@@ -116,6 +119,40 @@ def test_paired_interval_is_bonetts_and_prices_for_one_run():
     assert high - low == pytest.approx(2 * 1.98 * error, rel=0.02)
     low, high = paired_interval(np.zeros((3, 50)), bound=1.0)
     assert low < 0 < high
+
+
+@pytest.mark.parametrize("runs", [1, 3, 10])
+@pytest.mark.parametrize(("controller", "policy"), [(0.5, 0.9), (0.9, 0.95), (0.1, 0.1)])
+def test_unpaired_interval_covers_at_least_about_as_often_as_it_says(controller, policy, runs):
+    covered, width = coverage.unpaired_coverage(controller, policy, 0.0, runs, studies=400)
+    assert covered >= 0.92
+    assert width < (0.4 if runs > 1 else 0.3)
+
+
+def test_unpaired_interval_is_agrestis_and_caffos_for_one_run():
+    # 30 of 40 against 20 of 40, by hand: (31/42 - 21/42) and the two variances
+    first, second = (np.repeat([1.0, 0.0], [k, 40 - k]) for k in (30, 20))
+    low, high = unpaired_interval(first, second, bound=1.0)
+    p, q = 31 / 42, 21 / 42
+    assert (low + high) / 2 == pytest.approx(p - q)
+    error = np.sqrt(p * (1 - p) / 42 + q * (1 - q) / 42)
+    assert high - low == pytest.approx(2 * 1.99 * error, rel=0.02)
+    low, high = unpaired_interval(np.ones(40), np.ones(40), bound=1.0)
+    assert -0.2 < low < 0 < high < 0.2
+
+
+def test_unpaired_interval_of_returns_is_welchs():
+    rng = np.random.default_rng(0)
+    first, second = rng.normal(1.0, 1.0, 50), rng.normal(0.0, 3.0, 80)
+    expected = stats.ttest_ind(first, second, equal_var=False).confidence_interval(0.95)
+    assert unpaired_interval(first, second) == pytest.approx((expected.low, expected.high))
+    assert np.isnan(unpaired_interval([1.0], [2.0])).all()
+
+
+def test_fishers_test_knows_no_pairs():
+    assert fisher(10, 10, 20) == 1.0
+    assert fisher(20, 0, 20) == pytest.approx(2 / 137846528820)  # two of C(40, 20) tables
+    assert fisher(15, 5, 20) == fisher(5, 15, 20) < 0.01
 
 
 def test_interquartile_mean_ignores_the_outer_quarters():

@@ -117,6 +117,21 @@ def test_the_papers_table(outcome):
     assert not verdict("6b", outcome(scenarios=scenarios)).holds
 
 
+def test_what_is_not_paired_has_fishers_test(outcome):
+    changes = {"rescues": 5, "regressions": 0, "mcnemar_p": 0.06}
+    loose = {"success": 0.75, "controller_success": 0.1, "fisher_p": 0.03}
+    found = outcome(scenarios={"misaligned": loose})
+    for run in found.runs:
+        for entry in changes:
+            del run.results["misaligned"]["summary"][entry]
+    experiment = Experiment(name="one", title="", paper="", figure="table", arms={"a": ()})
+    header, (row,) = success_rows(experiment, Finding("one", (found,)))
+    cells = dict(zip(header, row, strict=True))
+    assert cells["rescued / broken"] == "not paired"
+    assert cells["McNemar's p, by seed"].endswith("(Fisher's)")
+    assert "0.03" in cells["McNemar's p, by seed"]
+
+
 def test_success_grows(outcome):
     assert verdict("7", outcome(curves={"success": [0.1, 0.5, 0.8]})).holds
     assert not verdict("7", outcome(curves={"success": [0.1, 0.5, 0.6]})).holds

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ def episodes(solved, force):
     )
 
 
-def make_run(folder, arm="residual", seed=0, finished=True, **changes):
+def make_run(folder, arm="residual", seed=0, finished=True, compared=Comparison, **changes):
     folder.mkdir(parents=True)
     env = {"name": "insertion", "scenarios": {"misaligned": {}, "aligned": {}}}
     config = {
@@ -48,7 +49,7 @@ def make_run(folder, arm="residual", seed=0, finished=True, **changes):
     logger = CSVLogger()
     logger.start(folder, config, 0)
     for step in STEPS:
-        comparison = Comparison(episodes(step // 60 + seed, 30.0 + seed), episodes(4, 20.0))
+        comparison = compared(episodes(step // 60 + seed, 30.0 + seed), episodes(4, 20.0))
         logger.log({f"eval/misaligned/{k}": v for k, v in comparison.summary().items()}, step)
         logger.log({"loss/loss_critic": 1.0 / (1 + step), "safety/step": 0.1}, step)
         logger.log({"action/residual_share": 0.4, "time/update": 2.0}, step)
@@ -158,6 +159,29 @@ def test_a_learning_curve_of_a_group_or_of_nothing(runs, tmp_path):
     (runs[0] / "metrics.csv").unlink()
     (group,) = group_runs(find_runs(runs[:1]))
     assert learning_curve(group, tmp_path / "none.png") is None
+
+
+def test_what_is_handed_over_is_shown_beside_the_latest_policy(tmp_path):
+    accepted = {"accepted": episodes(7, 25.0), "accepted_env_steps": 350}
+    run = make_run(tmp_path / "run", compared=partial(Comparison, **accepted))
+    (group,) = group_runs(find_runs([run]))
+    curve = learning_curve(group, tmp_path / "curve.png").with_suffix(".svg").read_text()
+    plain = make_run(tmp_path / "plain")
+    (other,) = group_runs(find_runs([plain]))
+    without = learning_curve(other, tmp_path / "plain.png").with_suffix(".svg").read_text()
+    assert ("handed over" in curve, "handed over" in without) == (True, False)
+    source = write_report(find_runs([run]), tmp_path / "page.html").read_text()
+    assert "<td>misaligned, handed over</td>" in source
+    assert "the policy after 350 environment steps" in source
+    assert '"name":"insertion-residual, handed over"' in source
+    assert "handed over" not in write_report(find_runs([plain]), tmp_path / "p.html").read_text()
+
+
+def test_a_report_says_what_is_not_paired(tmp_path):
+    run = make_run(tmp_path / "run", compared=partial(Comparison, frozen=False))
+    source = write_report(find_runs([run]), tmp_path / "page.html").read_text()
+    assert "The episodes of misaligned, aligned are not frozen" in source
+    assert "Nothing was logged for: rescues and regressions" in source
 
 
 def test_a_torn_file_is_named_and_the_rest_is_shown(runs, tmp_path, caplog):

@@ -1,6 +1,7 @@
 """The tables: right numbers in the right cells, with their intervals."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from rrl.trainers.report.tables import (
     EPISODE_COLUMNS,
     episode_rows,
     markdown_tables,
+    notes,
     one_run,
     quantity_rows,
     success_rows,
@@ -65,6 +67,43 @@ def test_every_reported_quantity_has_mean_and_tail_with_its_unit():
     assert cells["contact force, 99th percentile [N]"] == "18.81 → 23.81"
     assert cells["return"] == "-1.00 → -1.00"
     assert "contact force, mean [N]" in markdown_tables(results, {"contact_force": "N"})
+
+
+def test_what_is_not_paired_is_not_called_rescued_or_broken():
+    compared = [Comparison(episodes(k), episodes(2), frozen=False) for k in (15, 19)]
+    paired = [replace(c, frozen=True) for c in compared]
+    (row,), (other,) = (
+        success_rows({"drift": [c.record() for c in both]}) for both in (compared, paired)
+    )
+    assert row[1] == "10.0 [3.9, 23.1] %"  # two runs of 20 episodes each
+    assert row[2] == other[2]
+    assert row[3].startswith("+75.0 [+")
+    assert row[3] != other[3]
+    assert row[4:] == ["", ""]
+    assert {r[2] for r in episode_rows(one_run({"drift": compared[0]}))} == {None}
+    text = markdown_tables(one_run({"drift": compared[0], "still": paired[0]}), {})
+    assert "The episodes of drift are not frozen" in text
+    assert "not frozen" not in markdown_tables(one_run({"still": paired[0]}), {})
+
+
+def test_the_policies_handed_over_have_a_row_of_their_own_where_they_are_others():
+    latest, controller = episodes(15), episodes(2)
+    same = Comparison(latest, controller, accepted=latest, accepted_env_steps=900)
+    earlier = replace(same, accepted=episodes(19), accepted_env_steps=300)
+    none = replace(same, accepted=controller, accepted_env_steps=0)
+    assert len(success_rows(one_run({"drift": same}))) == 1
+    rows = success_rows({"drift": [c.record() for c in (same, earlier, none)]})
+    assert [row[0] for row in rows] == ["drift", "drift, handed over"]
+    assert rows[0][2].startswith("75.0 [")
+    assert rows[1][2].startswith("60.0 [")  # 15, 19 and 2 of 20
+    assert (rows[1][4], rows[0][4]) == ("10", "13")
+    assert notes(one_run({"drift": earlier}))[-1].startswith(
+        "Handed over: the policy after 300 environment steps"
+    )
+    assert notes(one_run({"drift": none}))[-1].startswith("Handed over: the controller alone.")
+    all_three = {"drift": [c.record() for c in (same, earlier, none)]}
+    assert "a learned policy by 2 of 3 runs" in notes(all_three)[-1]
+    assert notes(all_three)[-1] in markdown_tables(all_three, {})
 
 
 def test_every_episode_has_its_outcome():

@@ -227,7 +227,7 @@ def test_a_run_in_which_no_policy_passes_says_so(make):
 
 def test_without_a_test_the_latest_policy_is_handed_over(make, caplog):
     caplog.set_level(logging.INFO, "rrl")
-    with make(acceptance=None) as trainer:
+    with make(acceptance=AcceptanceSettings(enabled=False)) as trainer:
         results = trainer.run()
         assert trainer.policy is trainer.agent.policy
     assert results["drift"].accepted is None

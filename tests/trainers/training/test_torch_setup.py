@@ -52,6 +52,7 @@ def test_a_run_with_two_threads_can_be_made_again(tmp_path):
         small = [
             "trainer.evaluation.every=0",
             "trainer.evaluation.final_episodes=2",
+            "trainer.acceptance.enabled=false",
             "render.enabled=false",
         ]
         command = [
