@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, ClassVar
 
 import torch
@@ -14,7 +14,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import LossModule, SoftUpdate
 from torchrl.objectives.utils import ValueEstimators
 
-from rrl.algorithms.calibration import discount, reward_factor
+from rrl.algorithms.calibration import discount, penalty_updates, reward_factor
 from rrl.algorithms.networks import EncodedNetwork, last_layer
 from rrl.algorithms.precision import single_precision
 from rrl.algorithms.settings import AgentSettings
@@ -73,7 +73,8 @@ class Agent(nn.Module, ABC):
     ) -> None:
         super().__init__()
         self.settings = self.Settings(**settings)
-        self.gamma = self._discount(episode_steps)
+        self.gamma = self._derived("gamma", discount, episode_steps)
+        self.penalty_updates = self._derived("penalty_updates", penalty_updates, episode_steps)
         self.is_calibrated = False
         self.register_buffer("reward_scale", torch.tensor(self.settings.reward_scale or 1.0))
         self.register_buffer("residual_weight", torch.tensor(self.settings.residual_penalty))
@@ -174,12 +175,12 @@ class Agent(nn.Module, ABC):
         self.is_calibrated = True
         return {"gamma": self.gamma, "reward_scale": float(self.reward_scale), "inputs": inputs}
 
-    def _discount(self, episode_steps: int | None) -> float:
-        if self.settings.gamma is not None:
-            return self.settings.gamma
-        if episode_steps is None:
-            raise ValueError("gamma: expected a number, or episode_steps to derive it from")
-        return discount(episode_steps)
+    def _derived(self, name: str, derive: Callable[[int], Any], steps: int | None) -> Any:
+        """Return a setting, derived from the steps of an episode if it is None."""
+        value = getattr(self.settings, name)
+        if value is None and steps is None:
+            raise ValueError(f"{name}: expected a number, or episode_steps to derive it from")
+        return derive(steps) if value is None and steps is not None else value
 
     # ---------------------------------------------------------------- learning
 
@@ -200,8 +201,8 @@ class Agent(nn.Module, ABC):
             Means over the ``k`` updates: ``loss_critic``, ``loss_actor`` (absent while no policy
             update was due) and what the algorithm adds.
         """
-        halvings = self.num_updates / self.settings.penalty_updates
-        self.residual_weight.fill_(self.settings.residual_penalty / (1 + halvings))
+        price = self.settings.residual_penalty
+        self.residual_weight.fill_(price / (1 + self.num_updates / self.penalty_updates))
         batches = self._encoded(batches)
         if self.symmetry is not None:
             self._reflect(batches, self.symmetry)

@@ -33,7 +33,8 @@ class AgentSettings(BaseModel):
             derived ``reward_scale`` values lie a few units apart; a residual must then gain that
             much to be worth its size.
         penalty_updates: Updates after which that weight is halved; after ``n`` times as many it is
-            divided by ``n + 1``. The critics know little at first, and more and more later.
+            divided by ``n + 1``. The critics know little at first, and more and more later. None:
+            derived from the episode's length.
         compiled: Compile the whole update into one graph.
     """
 
@@ -54,5 +55,5 @@ class AgentSettings(BaseModel):
     loss_function: Literal["l2", "l1", "smooth_l1"] = "l2"
     reward_scale: float | None = 1.0
     residual_penalty: float = Field(0.0, ge=0)
-    penalty_updates: int = Field(1000, gt=0)
+    penalty_updates: int | None = Field(1000, gt=0)
     compiled: bool = False

@@ -59,7 +59,7 @@ class Acceptance:
         if not self.settings.enabled:
             return
         total, every = self._run.total_steps, self._run.evaluation.every or self._run.total_steps
-        past = max(env_steps, self._run.warmup_steps - 1)  # no policy has learned before
+        past = max(env_steps, (self._run.warmup_steps or 0) - 1)  # no policy has learned before
         if (evaluations := (-(-total // every) - past // every) if total > past else 0) > 0:
             log.info(
                 "acceptance: at most %d episodes in %d evaluations, beside the evaluations' own: "
