@@ -57,6 +57,8 @@ class Agent(nn.Module, ABC):
     actor_optimizer: Any
     reward_scale: Tensor
     """Factor on the stored reward, a scalar."""
+    residual_weight: Tensor
+    """Weight of the action's square, a scalar."""
     policy: TensorDictModuleBase
     """From the inputs ``[*batch, *shape]`` to ``action`` [*batch, m] in [-1, 1]."""
 
@@ -74,6 +76,7 @@ class Agent(nn.Module, ABC):
         self.gamma = self._discount(episode_steps)
         self.is_calibrated = False
         self.register_buffer("reward_scale", torch.tensor(self.settings.reward_scale or 1.0))
+        self.register_buffer("residual_weight", torch.tensor(self.settings.residual_penalty))
         self.inputs = {
             key: Input(shape=(entry,)) if isinstance(entry, int) else entry
             for key, entry in inputs.items()
@@ -197,6 +200,8 @@ class Agent(nn.Module, ABC):
             Means over the ``k`` updates: ``loss_critic``, ``loss_actor`` (absent while no policy
             update was due) and what the algorithm adds.
         """
+        halvings = self.num_updates / self.settings.penalty_updates
+        self.residual_weight.fill_(self.settings.residual_penalty / (1 + halvings))
         batches = self._encoded(batches)
         if self.symmetry is not None:
             self._reflect(batches, self.symmetry)
@@ -274,7 +279,7 @@ class Agent(nn.Module, ABC):
         loss, info = self.actor_loss(batch)
         if self.settings.residual_penalty:
             square = self._residual(batch).square().sum(-1).mean()
-            loss = loss + self.settings.residual_penalty * square
+            loss = loss + self.residual_weight * square
             info = {**info, "residual_square": square.detach()}
         self.actor_optimizer.step(torch.autograd.grad(loss, self._actor_params))
         self.soft_update.step()

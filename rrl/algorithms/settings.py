@@ -29,9 +29,11 @@ class AgentSettings(BaseModel):
         loss_function: The critics' loss.
         reward_scale: Factor on the stored reward before the critics see it; None: derived from the
             first transitions, so that rewards of any size are learned from alike.
-        residual_penalty: Weight of the action's square in the policy's loss. With a derived
-            ``reward_scale`` values lie a few units apart; a residual must then gain that much to be
-            worth its size.
+        residual_penalty: Weight of the action's square in the policy's loss, at first. With a
+            derived ``reward_scale`` values lie a few units apart; a residual must then gain that
+            much to be worth its size.
+        penalty_updates: Updates after which that weight is halved; after ``n`` times as many it is
+            divided by ``n + 1``. The critics know little at first, and more and more later.
         compiled: Compile the whole update into one graph.
     """
 
@@ -52,4 +54,5 @@ class AgentSettings(BaseModel):
     loss_function: Literal["l2", "l1", "smooth_l1"] = "l2"
     reward_scale: float | None = 1.0
     residual_penalty: float = Field(0.0, ge=0)
+    penalty_updates: int = Field(1000, gt=0)
     compiled: bool = False
