@@ -28,13 +28,14 @@ class WorkspaceLimit(SafetyLimit):
     into it is left, as fast as the action's bounds allow. While the position is not finite, the end
     effector is not moved.
 
-    With ``delay`` the position is known that many steps late. Each of the last ``delay`` commands
-    may have been carried out since then, or not yet: x is then any position between, and the worst
-    of them counts on every side.
+    An arm lags behind its commands, and a position may be measured late. With ``delay`` each of the
+    last ``delay`` commands may have been carried out since the measurement, or not yet: x is any
+    position between, and the worst of them counts on every side.
 
-    What is guaranteed is that the end effector stays in the box if it starts in it, the set point
-    is put relative to where the tool is, ``delay`` is not less than that of the measurement, and
-    ``margin`` not less than the robot overshoots a set point, or lags behind the last but one.
+    What is guaranteed is that the end effector stays in the box if it starts in it. It assumes that
+    the set point is put relative to where the tool is, that ``delay`` is not less than the steps by
+    which the position is late and those that the arm lags, together, and ``margin`` not less than
+    it overshoots.
 
     policy -> env: reads and writes ``action_key``.
     env -> policy: reads ``position_key``, writes ("safety", "workspace"); see :class:`SafetyLimit`.
@@ -45,7 +46,7 @@ class WorkspaceLimit(SafetyLimit):
         unit: Length that one unit of the action stands for, positive [m].
         margin: How much smaller the box of commands is on every side, a number or one for each
             dimension, not negative [m].
-        delay: Control steps by which the position is late, not negative.
+        delay: Control steps by which the position is late and the arm lags, not negative.
         position_key: Position x, ``[*batch, n_act]`` [m].
         action_key: The displacement u, ``[*batch, n_act]``; may be nested.
 
