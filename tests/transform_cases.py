@@ -121,7 +121,7 @@ def tracker(seed: int | None) -> Transform:
 
 
 def workspace_limit(seed: int | None) -> Transform:
-    return WorkspaceLimit(low=-0.3, high=[0.3, 0.4], unit=0.1)
+    return WorkspaceLimit(low=-0.3, high=[0.3, 0.4], unit=0.1, delay=1)
 
 
 def step_limit(seed: int | None) -> Transform:
@@ -130,7 +130,9 @@ def step_limit(seed: int | None) -> Transform:
 
 def force_limit(seed: int | None) -> Transform:
     """The position stands in for a force: it is measured, two-dimensional and changes slowly."""
-    return ForceLimit(limit=0.3, onset=0.1, retract=0.2, force_key=POSITION, axes=[0, 1])
+    return ForceLimit(
+        limit=0.3, stiffness=0.5, force_key=POSITION, axes=[0, 1], onset=0.1, retract=0.2
+    )
 
 
 def finite_action(seed: int | None) -> Transform:

@@ -1,4 +1,4 @@
-"""A bound on how hard the robot keeps pressing against what it touches."""
+"""A bound on how hard the robot pushes against what it touches."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 
-from rrl.checks import check, per_dimension, require
+from rrl.checks import check, check_length, per_dimension, require
 from rrl.keys import ACTION
 from rrl.transforms.base import ActionLimits
 from rrl.transforms.safety.base import SafetyLimit
@@ -17,37 +17,55 @@ __all__ = ["ForceLimit"]
 
 
 class ForceLimit(SafetyLimit):
-    r"""A bound on pressing: less, no or reversed motion against the measured contact force.
+    r"""A bound on the contact force, by the distance that a command may move the set point.
 
-    With the measured force f, its direction n = f / \|f\| and the part p = u . n of the
-    displacement along it, motion further into the contact has p < 0: the surroundings push back.
-    That part is scaled by
+    A compliant robot pushes with its stiffness times the distance between set point and tool, and
+    hits what is in its way with an impulse in proportion to its speed, which is that distance in a
+    control step. Both grow with the displacement that is commanded, so a bound on it is a bound on
+    the force:
+
+        \| stiffness * unit * u \| <= limit
+
+    A command that is too long is shortened; its direction stays. What is guaranteed does not depend
+    on a measurement, and so neither on a sensor's noise nor on its delay. It assumes
+
+    * that the set point is put relative to where the tool is, or has no further to go than the last
+      command says: one that integrates may lie any distance ahead of a tool that is held back;
+    * that ``stiffness`` is the largest force, impact included, for each metre commanded, of the
+      stiffest robot that there may be. It is measured, with commands that try everything
+      (``benchmarks/limits.py``), and several times the spring constant of the controller;
+    * that the force comes from the robot's own motion, not from somebody who pushes it.
+
+    With ``force_key`` the measured force is used too, as a second line where these do not hold:
+    with the force f, its direction n = f / \|f\| and the part p = u . n of the displacement along
+    it, motion further into the contact has p < 0. That part is scaled by
 
         s = clip((limit - \|f\|) / (limit - onset), 0, 1)
 
-    which is 1 up to ``onset`` and 0 from ``limit`` on; motion along the surface and away from it
-    passes. Above the limit the part along n is replaced by ``retract``, away from the contact. The
-    force is the one measured after the last step: the limit is on what is commanded next. It ends
-    sustained pressing; an impact at full speed exceeds it within one control step, unless a
-    :class:`~rrl.transforms.StepLimit` keeps the speed low. While the force is not finite, the end
-    effector is not moved.
+    and above the limit the part along n is replaced by ``retract``, away from the contact. This
+    alone would be no bound: the force is known a step too late.
 
     policy -> env: reads and writes ``action_key``.
     env -> policy: reads ``force_key``, writes ("safety", "force"); see :class:`SafetyLimit`.
 
     Args:
         limit: Largest force, positive [N].
+        stiffness: Force for each metre of commanded displacement, a number or one for each
+            dimension of the action, positive [N/m].
+        unit: Length that one unit of the action stands for, a number or one for each dimension,
+            positive [m].
+        force_key: Force on the end effector ``[*batch, m]`` [N], in the frame of the action; of a
+            wrench the first numbers are used. None: no measurement is used. While one is not
+            finite, the end effector is not moved.
+        axes: Dimension of the action that each component of the force belongs to.
         onset: Force from which pressing motion is scaled down, in [0, limit) [N]; None: ``limit``,
             so that it is stopped at the limit and not before.
         retract: Size of the motion away from the contact above the limit, in action units, 0 or
             more; 0 stops.
-        force_key: Force on the end effector ``[*batch, m]`` [N], in the frame of the action; of a
-            wrench the first numbers are used.
-        axes: Dimension of the action that each component of the force belongs to.
         action_key: The displacement u, ``[*batch, n_act]``; may be nested.
 
     Raises:
-        ValueError: If numbers are out of range, or force and axes do not fit the action.
+        ValueError: If numbers are out of range, or stiffness, force or axes do not fit the action.
         KeyError: If force or action is missing.
         RuntimeError: If actions pass the inverse without an environment or before a reset.
     """
@@ -55,15 +73,19 @@ class ForceLimit(SafetyLimit):
     def __init__(
         self,
         limit: float,
+        stiffness: float | Sequence[float],
+        unit: float | Sequence[float] = 1.0,
+        force_key: NestedKey | None = None,
+        axes: Sequence[int] = (0, 1, 2),
         onset: float | None = None,
         retract: float = 0.0,
-        force_key: NestedKey = "wrench",
-        axes: Sequence[int] = (0, 1, 2),
         action_key: NestedKey = ACTION,
     ) -> None:
-        super().__init__("force", [force_key], action_key)
+        super().__init__("force", [] if force_key is None else [force_key], action_key)
         per_dimension("limit", limit, positive=True)
         per_dimension("retract", retract, minimum=0.0)
+        self.stiffness = per_dimension("stiffness", stiffness, positive=True)
+        self.unit = per_dimension("unit", unit, positive=True)
         below = onset is None or 0 <= onset < limit
         check("onset", onset, f"a force in [0, limit) with the limit {limit:g}", below)
         self.axes = list(axes)
@@ -72,13 +94,25 @@ class ForceLimit(SafetyLimit):
         self.maximum, self.onset, self.retract = float(limit), onset, float(retract)
 
     def measure(self, tensordict: TensorDictBase, action: Tensor) -> Tensor:
-        """Return the force, one number for each axis."""
+        """Return the force, one number for each axis; none without a ``force_key``."""
+        if not self.in_keys:
+            return action[..., :0]
         return require(self, tensordict, self.in_keys[0])[..., : len(self.axes)]
 
     def limit(self, action: Tensor, measured: Tensor, limits: ActionLimits) -> Tensor:
-        """Change the part of the motion along the force."""
-        size = torch.linalg.vector_norm(measured, dim=-1, keepdim=True)
-        normal = measured / size.clamp_min(torch.finfo(size.dtype).tiny)
+        """Change the part of the motion along the force, then shorten the displacement."""
+        if self.in_keys:
+            action = self._yield_to(measured, action)
+        reach = torch.linalg.vector_norm(self._force_of(action), dim=-1, keepdim=True)
+        return torch.where(reach > self.maximum, action * (self.maximum / reach), action)
+
+    def _force_of(self, action: Tensor) -> Tensor:
+        """Return the force that a displacement may lead to, by dimension [N]."""
+        return action * (self.stiffness * self.unit).to(action)
+
+    def _yield_to(self, force: Tensor, action: Tensor) -> Tensor:
+        size = torch.linalg.vector_norm(force, dim=-1, keepdim=True)
+        normal = force / size.clamp_min(torch.finfo(size.dtype).tiny)
         along = (action[..., self.axes] * normal).sum(-1, keepdim=True)
         wanted = torch.where(along < 0, along * self._share(size), along)
         if self.retract:
@@ -94,7 +128,9 @@ class ForceLimit(SafetyLimit):
         return ((self.maximum - size) / (self.maximum - self.onset)).clamp(0.0, 1.0)
 
     def check_sizes(self, sizes: dict[NestedKey, int], action_size: int) -> None:
-        """Hold force and axes to the action's size."""
+        """Hold stiffness, force and axes to the action's size."""
+        for name, value in (("stiffness", self.stiffness), ("unit", self.unit)):
+            check_length(name, value, action_size, "the action")
         for key, size in sizes.items():
             if size < len(self.axes) or max(self.axes) >= action_size:
                 raise ValueError(

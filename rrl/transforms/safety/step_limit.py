@@ -21,8 +21,12 @@ class StepLimit(SafetyLimit):
 
         |u_t| <= size * half_range,  |u_t - u_{t-1}| <= change * half_range,  u_{-1} = 0
 
-    in every dimension. Where both cannot hold, the size does. A command that is not finite is
-    replaced by the last executed one.
+    in every dimension. A command that is too large is clipped; of a change that is too large the
+    first part is taken, on the straight line from the last action. So both hold at once, and so
+    does every other limit of a convex set of actions that does not change, such as that of
+    :class:`~rrl.transforms.ForceLimit`, if it holds for the command: this limit may stand before it
+    and have the last word. A command that is not finite is replaced by the last executed one. What
+    is guaranteed is about commands alone and takes no measurement.
 
     policy -> env: reads and writes ``action_key``.
     env -> policy: writes ("safety", "step"); see :class:`SafetyLimit`.
@@ -59,14 +63,16 @@ class StepLimit(SafetyLimit):
         return action
 
     def limit(self, action: Tensor, measured: Tensor, limits: ActionLimits) -> Tensor:
-        """Clip change, then size."""
-        if self.change is not None:
-            change = self.change.to(measured) * limits.half_range
-            action = torch.clamp(action, measured - change, measured + change)
+        """Clip the size, then go as far from the last action as the change allows."""
         if self.size is not None:
             size = self.size.to(measured) * limits.half_range
             action = torch.clamp(action, -size, size)
-        return action
+        if self.change is None:
+            return action
+        change = self.change.to(measured) * limits.half_range
+        wanted = action - measured
+        share = (change / wanted.abs().clamp_min(torch.finfo(wanted.dtype).tiny)).amin(-1, True)
+        return torch.where(share < 1.0, measured + share * wanted, action)
 
     def hold(self, tensordict: TensorDictBase, measured: Tensor) -> Tensor:
         """Return the last executed action, which keeps both limits."""

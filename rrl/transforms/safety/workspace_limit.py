@@ -8,23 +8,34 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 
-from rrl.checks import check_length, per_dimension, require
+from rrl.checks import check_length, check_whole, per_dimension, require
 from rrl.keys import ACTION
-from rrl.transforms.base import ActionLimits
+from rrl.transforms.base import ActionLimits, Mask, Memory
 from rrl.transforms.safety.base import SafetyLimit
 
 __all__ = ["WorkspaceLimit"]
 
+_SINCE = "since"
+"""The commands that may have been carried out since the position was measured, oldest first."""
+
 
 class WorkspaceLimit(SafetyLimit):
-    """A box that the commanded position stays in.
+    """A box that the end effector is not commanded out of.
 
         low + margin <= x + unit * u <= high - margin
 
     From outside the box, where a disturbance may have carried the end effector, only motion back
-    into it is left, as fast as the action's bounds allow. What is limited is the command;
-    ``margin`` is for what the robot overshoots. While the position is not finite, the end effector
-    is not moved.
+    into it is left, as fast as the action's bounds allow. While the position is not finite, the end
+    effector is not moved.
+
+    An arm lags behind its commands, and a position may be measured late. With ``delay`` each of the
+    last ``delay`` commands may have been carried out since the measurement, or not yet: x is any
+    position between, and the worst of them counts on every side.
+
+    What is guaranteed is that the end effector stays in the box if it starts in it. It assumes that
+    the set point is put relative to where the tool is, that ``delay`` is not less than the steps by
+    which the position is late and those that the arm lags, together, and ``margin`` not less than
+    it overshoots.
 
     policy -> env: reads and writes ``action_key``.
     env -> policy: reads ``position_key``, writes ("safety", "workspace"); see :class:`SafetyLimit`.
@@ -35,6 +46,7 @@ class WorkspaceLimit(SafetyLimit):
         unit: Length that one unit of the action stands for, positive [m].
         margin: How much smaller the box of commands is on every side, a number or one for each
             dimension, not negative [m].
+        delay: Control steps by which the position is late and the arm lags, not negative.
         position_key: Position x, ``[*batch, n_act]`` [m].
         action_key: The displacement u, ``[*batch, n_act]``; may be nested.
 
@@ -51,6 +63,7 @@ class WorkspaceLimit(SafetyLimit):
         high: float | Sequence[float],
         unit: float = 1.0,
         margin: float | Sequence[float] = 0.0,
+        delay: int = 0,
         position_key: NestedKey = "end_effector_position",
         action_key: NestedKey = ACTION,
     ) -> None:
@@ -63,6 +76,7 @@ class WorkspaceLimit(SafetyLimit):
                 f"sides, got {high!r}"
             )
         self.unit = per_dimension("unit", unit, positive=True)
+        self.delay = check_whole("delay", delay, 0)
 
     def measure(self, tensordict: TensorDictBase, action: Tensor) -> Tensor:
         """Return the position."""
@@ -71,7 +85,19 @@ class WorkspaceLimit(SafetyLimit):
     def limit(self, action: Tensor, measured: Tensor, limits: ActionLimits) -> Tensor:
         """Clip the displacement to what leads to the box's faces."""
         low, high, unit = self.low.to(measured), self.high.to(measured), self.unit.to(measured)
-        return torch.clamp(action, (low - measured) / unit, (high - measured) / unit)
+        since = unit * self.recall(_SINCE)  # (*batch, delay, n)
+        least, most = measured + since.clamp_max(0).sum(-2), measured + since.clamp_min(0).sum(-2)
+        return torch.clamp(action, (low - least) / unit, (high - most) / unit)
+
+    def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
+        memory = super()._first(td, mask)
+        nothing = torch.zeros_like(self.limits().low).unsqueeze(-2)
+        return memory | {_SINCE: nothing.expand(*nothing.shape[:-2], self.delay, -1).clone()}
+
+    def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
+        memory = super()._advance(td, next_td, mask)
+        executed = torch.cat([self.recall(_SINCE), self.action(td).unsqueeze(-2)], -2)
+        return memory | {_SINCE: executed.narrow(-2, 1, self.delay)}
 
     def check_sizes(self, sizes: dict[NestedKey, int], action_size: int) -> None:
         """Hold box, unit and position to the action's size."""

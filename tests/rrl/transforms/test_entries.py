@@ -169,7 +169,7 @@ def test_an_action_without_a_dimension_is_named(transform, batch) -> None:
 @pytest.mark.parametrize("batch", [(), (3,)])
 def test_a_measurement_without_a_dimension_is_named(batch) -> None:
     env = TransformedEnv(
-        Scalar(batch, action=(2,), force=()), ForceLimit(1.0, force_key="force", axes=[0])
+        Scalar(batch, action=(2,), force=()), ForceLimit(1.0, 1.0, force_key="force", axes=[0])
     )
     with pytest.raises(ValueError, match=r"'force': expected an observation of shape \[\*batch, n"):
         env.observation_spec  # noqa: B018 - computing it is the test
@@ -203,7 +203,7 @@ def test_slashes_and_nested_names(name) -> None:
         chain = Compose(
             *renamed,
             WorkspaceLimit(-5.0, 5.0, position_key=key),
-            ForceLimit(5.0, force_key=key, axes=[0, 1]),
+            ForceLimit(5.0, 1.0, force_key=key, axes=[0, 1]),
             StepLimit(0.9, 0.5),
             FiniteAction(),
             ObservationNoise([key], bias=0.05, seed=0),

@@ -156,7 +156,7 @@ def test_nested_actions() -> None:
 
 LIMITS = {
     "workspace": lambda: WorkspaceLimit(-5.0, 5.0, unit=0.1),
-    "force": lambda: ForceLimit(50.0, retract=0.5, force_key=POSITION, axes=[0, 1]),
+    "force": lambda: ForceLimit(50.0, 1.0, force_key=POSITION, axes=[0, 1], retract=0.5),
     "step": lambda: StepLimit(size=0.5, change=0.5),
 }
 

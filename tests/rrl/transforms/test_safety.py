@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -11,7 +13,14 @@ from torchrl.envs.transforms import Compose
 from torchrl.envs.utils import step_mdp
 
 from rrl.envs import InsertionEnv
-from rrl.transforms import ControlNoise, ForceLimit, ResidualAction, StepLimit, WorkspaceLimit
+from rrl.transforms import (
+    ControlNoise,
+    ForceLimit,
+    ObservationLatency,
+    ResidualAction,
+    StepLimit,
+    WorkspaceLimit,
+)
 from rrl.transforms.base import limits_of
 from toy_envs import STEP_SIZE, PointMass
 from transform_cases import POSITION, drive, proportional, random_actions
@@ -69,7 +78,7 @@ def test_size_and_change_of_what_is_executed() -> None:
 def test_workspace_first_keeps_the_box_under_the_other_limits() -> None:
     limits = (
         WorkspaceLimit(**BOX, unit=STEP_SIZE),
-        ForceLimit(0.2, retract=1.0, force_key=POSITION, axes=[0, 1]),
+        ForceLimit(0.2, 0.2, force_key=POSITION, axes=[0, 1], retract=1.0),
         StepLimit(change=0.1),
     )
     records = drive(wild(*limits), random_actions(300, 4, 2))
@@ -96,6 +105,9 @@ def force_of(limit: ForceLimit, action: list[float], force: list[float]) -> list
     return [round(x, 5) for x in safe.tolist()]
 
 
+SOFT = 1e-3  # N/m: no command is long enough for the bound
+
+
 @pytest.mark.parametrize(
     ("force", "action", "expected"),
     [
@@ -108,17 +120,56 @@ def force_of(limit: ForceLimit, action: list[float], force: list[float]) -> list
     ],
 )
 def test_motion_against_the_force(force, action, expected) -> None:
-    assert force_of(ForceLimit(40.0, onset=20.0), action, force) == expected
+    limit = ForceLimit(40.0, SOFT, force_key="wrench", onset=20.0)
+    assert force_of(limit, action, force) == expected
 
 
 def test_retreat_and_hard_stop() -> None:
-    assert force_of(ForceLimit(40.0, retract=0.25), [0.3, 0.0, -1.0], [0.0, 0.0, 41.0]) == [
-        0.3,
-        0.0,
-        0.25,
-    ]
-    assert force_of(ForceLimit(40.0), [0.3, 0.0, -1.0], [0.0, 0.0, 39.0]) == [0.3, 0.0, -1.0]
-    assert force_of(ForceLimit(40.0, axes=[2]), [0.3, 0.0, -1.0], [41.0]) == [0.3, 0.0, 0.0]
+    limit, action = partial(ForceLimit, 40.0, SOFT, force_key="wrench"), [0.3, 0.0, -1.0]
+    assert force_of(limit(retract=0.25), action, [0.0, 0.0, 41.0]) == [0.3, 0.0, 0.25]
+    assert force_of(limit(), action, [0.0, 0.0, 39.0]) == action
+    assert force_of(limit(axes=[2]), action, [41.0]) == [0.3, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "action", "expected"),
+    [
+        (100.0, [0.3, 0.0, -0.4], [0.3, 0.0, -0.4]),  # 10 N
+        (100.0, [0.6, 0.0, -0.8], [0.3, 0.0, -0.4]),  # 20 N: half as long, in the same direction
+        ([50.0, 100.0, 100.0], [0.6, 0.0, 0.8], [0.35112, 0.0, 0.46816]),  # 17.1 N
+    ],
+)
+def test_a_displacement_is_shortened_to_what_the_stiffness_allows(stiffness, action, expected):
+    assert force_of(ForceLimit(10.0, stiffness, unit=0.2), action, []) == expected
+
+
+def test_a_change_keeps_to_the_line_and_so_to_a_force_limit_behind_it() -> None:
+    """Executed by dimension, the same change would leave the ball that the force limit allows."""
+    limits = StepLimit(change=0.3), ForceLimit(1.0, 1.0)
+    records = drive(wild(*limits), random_actions(300, 4, 2))
+    executed = torch.stack([td["next", "executed_action"] for td in records[1:]])
+    assert executed.norm(dim=-1).max() <= 1.0 + 1e-6
+    assert executed.norm(dim=-1).max() > 0.99
+    assert executed.diff(dim=0).abs().max() == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_a_late_position_keeps_the_box_if_the_limit_knows_how_late(delay) -> None:
+    def positions(known: int) -> torch.Tensor:
+        chain = Compose(
+            ObservationLatency([POSITION], steps=delay, out_keys=["late"]),
+            WorkspaceLimit(**BOX, unit=STEP_SIZE, delay=known, position_key="late"),
+        )
+        env = TransformedEnv(PointMass((4,), seed=0, drift=0.0, episode_steps=1000), chain)
+        return torch.stack([td[POSITION] for td in drive(env, random_actions(300, 4, 2).sign())])
+
+    low, high = torch.tensor([-0.5, -0.5]) - 1e-6, torch.tensor([0.5, 0.55]) + 1e-6
+    inside = positions(delay)
+    assert ((inside >= low) & (inside <= high)).all()
+    assert (inside > high - 0.02).any()  # it was tried
+    if delay:
+        outside = positions(0)
+        assert ((outside < low) | (outside > high)).any()
 
 
 def pressing(*limits) -> torch.Tensor:
@@ -132,15 +183,14 @@ def pressing(*limits) -> torch.Tensor:
     return torch.stack(forces)
 
 
-def test_an_arm_does_not_keep_pressing_under_a_force_limit() -> None:
-    limit = ForceLimit(13.0, onset=3.0, retract=0.2, force_key="force_z", axes=[2])
+def test_an_arm_does_not_keep_pressing_where_the_force_is_measured() -> None:
+    limit = ForceLimit(13.0, SOFT, force_key="force_z", axes=[2], onset=3.0, retract=0.2)
     sustained = slice(30, None)
     assert pressing(limit)[sustained].mean() < pressing()[sustained].mean() / 2
 
 
-def test_an_arm_never_presses_harder_than_the_limit_at_low_speed() -> None:
-    limit = ForceLimit(15.0, onset=5.0, force_key="force_z", axes=[2])
-    assert pressing(limit, StepLimit(size=0.3)).max() < 15.0 < pressing().max()
+def test_an_arm_never_presses_harder_than_the_limit() -> None:
+    assert pressing(ForceLimit(15.0, 3000.0, unit=0.02)).max() < 15.0 < pressing().max()
 
 
 @pytest.mark.parametrize(
@@ -152,10 +202,13 @@ def test_an_arm_never_presses_harder_than_the_limit_at_low_speed() -> None:
         (lambda: WorkspaceLimit(0.0, 1.0, unit=0.0), "unit: expected positive"),
         (lambda: StepLimit(), "got neither"),
         (lambda: StepLimit(size=-1.0), "size: expected positive"),
-        (lambda: ForceLimit(0.0), "limit: expected positive"),
-        (lambda: ForceLimit(1.0, onset=1.0), "onset: expected a force in"),
-        (lambda: ForceLimit(1.0, retract=-0.1), "retract: expected numbers of at least 0"),
-        (lambda: ForceLimit(1.0, axes=[0, 0]), "different dimensions"),
+        (lambda: WorkspaceLimit(0.0, 1.0, delay=-1), "delay: expected a whole number"),
+        (lambda: ForceLimit(0.0, 1.0), "limit: expected positive"),
+        (lambda: ForceLimit(1.0, 0.0), "stiffness: expected positive"),
+        (lambda: ForceLimit(1.0, 1.0, unit=-1.0), "unit: expected positive"),
+        (lambda: ForceLimit(1.0, 1.0, onset=1.0), "onset: expected a force in"),
+        (lambda: ForceLimit(1.0, 1.0, retract=-0.1), "retract: expected numbers of at least 0"),
+        (lambda: ForceLimit(1.0, 1.0, axes=[0, 0]), "different dimensions"),
     ],
 )
 def test_bad_parameters_are_named(make, message) -> None:
@@ -168,7 +221,8 @@ def test_bad_parameters_are_named(make, message) -> None:
     [
         (WorkspaceLimit([0.0] * 3, 1.0), "low: expected one number or 2"),
         (StepLimit(size=[1.0] * 3), "size: expected one number or 2"),
-        (ForceLimit(1.0, force_key=POSITION), "axes: expected dimensions of a force of 2"),
+        (ForceLimit(1.0, [1.0] * 3), "stiffness: expected one number or 2"),
+        (ForceLimit(1.0, 1.0, force_key=POSITION), "axes: expected dimensions of a force of 2"),
     ],
 )
 def test_sizes_that_do_not_fit_the_environment(limit, message) -> None:
@@ -178,7 +232,7 @@ def test_sizes_that_do_not_fit_the_environment(limit, message) -> None:
 
 def test_a_missing_measurement_and_a_missing_reset_are_named() -> None:
     with pytest.raises(KeyError, match="'wrench'"):
-        TransformedEnv(PointMass(), ForceLimit(1.0)).observation_spec  # noqa: B018 - computing it is the test
+        TransformedEnv(PointMass(), ForceLimit(1.0, 1.0, force_key="wrench")).observation_spec  # noqa: B018 - computing it is the test
     env = TransformedEnv(PointMass(), StepLimit(size=0.5))
     with pytest.raises(RuntimeError, match="expected a reset before the first step"):
         env.step(TensorDict({"action": torch.zeros(2)}))
