@@ -26,6 +26,7 @@ WHOLE = {
     "quantities of the followed episodes": f"{metrics.EVALUATION}/[^/]+/metrics/",
     "the same of the controller alone": f"{metrics.EVALUATION}/[^/]+/controller_metrics/",
     "rewards while exploring": f"{metrics.TRAIN}/reward",
+    "tests of the policies to hand over": f"{metrics.ACCEPTANCE}/",
     "losses and values": f"{metrics.LOSS}/",
     "steps changed by a safety limit": f"{metrics.SAFETY}/",
     "seconds of a round": f"{metrics.TIME}/",

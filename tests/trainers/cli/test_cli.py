@@ -51,6 +51,8 @@ def test_training_leaves_table_curve_metrics_and_checkpoints(trained):
     run_dir, result = trained
     assert "misaligned" in result.stdout
     assert "aligned" in result.stdout
+    assert "acceptance: at most 12 episodes in 2 evaluations" in result.stdout
+    assert "Handed over: the controller alone. No policy passed the test" in result.stdout
     for name in (
         "config.yaml",
         "metrics.csv",
@@ -99,7 +101,8 @@ def test_weights_and_biases_hold_the_whole_run(trained):
         name.split("/")[0] for row in run.history for name in row if not name.startswith("_")
     }
     assert sections == {
-        "env_steps", "train", "action", "loss", "eval", "final", "safety", "time", "media", "results"
+        "env_steps", "train", "action", "loss", "eval", "final", "safety", "time", "media", "results",
+        "acceptance",
     }  # fmt: skip
 
 
