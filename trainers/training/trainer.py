@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
 from tensordict.nn import TensorDictModuleBase
 from torchrl.checkpoint import GlobalRNGState
 
@@ -21,16 +20,16 @@ from ..loggers.timing import Stopwatch
 from ..seeds import Stream, first_seed
 from ..settings import TrainerSettings
 from ..storage.checkpoints import Checkpoints, newest_whole
-from ..storage.files import write_atomically
 from ..storage.finite import require_finite
 from ..storage.replay_store import ReplayStore
-from ..storage.run_files import DERIVED
 from ..storage.same_run import require_same_run
 from .acceptance import Acceptance
 from .background_collection import InBackground
 from .collection import Collection, Exploration, InTurn, Metrics
+from .counters import Counters
 from .interruption import Interruption
-from .learner import LearnerGenerator, default_agent, default_exploration
+from .learner import default_agent, default_exploration
+from .learning import Learning
 from .profiling import Profile, measured
 from .progress import Progress
 from .torch_setup import configure_torch
@@ -100,7 +99,7 @@ class Trainer:
         self.replay = self.store.replay
         self.evaluator = Evaluator(scenarios or {"training": environment}, settings.evaluation)
         self.acceptance = Acceptance(settings, self.agent, self.evaluator)
-        self.generator = LearnerGenerator(settings.seed)
+        self.learning = Learning(self.agent, self.store, settings, self.run_dir, self.stopwatch)
         self.counters: dict[str, int] = {"env_steps": 0, "restarts": 0}
         self._resumed = False
         components = {
@@ -108,8 +107,8 @@ class Trainer:
             "collection": self.collection,
             "replay": self.store,
             "handed_over": self.acceptance,
-            "generator": self.generator,
-            "progress": _Counters(self.counters),
+            "generator": self.learning.generator,
+            "progress": Counters(self.counters),
         }
         self.checkpoints = Checkpoints(self.run_dir, settings.checkpoint.keep, components)
         self._generators = GlobalRNGState().state_dict()  # whatever is made before the run begins
@@ -222,9 +221,8 @@ class Trainer:
         checkpoint_due = self._due(self.settings.checkpoint.every)
         self.collection.before_updates(self._next_round(), checkpoint_due)
         if self.env_steps >= (self.settings.warmup_steps or 0):
-            self._calibrate()
-            with self.stopwatch("update"), self.generator.drawing():
-                values |= self._update()
+            with self.stopwatch("update"):
+                values |= self.learning.update()
         values |= measured(self.stopwatch)
         self.profile.add(values, self.settings.steps_per_round)
         with self.stopwatch("log"):
@@ -253,24 +251,6 @@ class Trainer:
         """Take a round from the log: it was stored after the checkpoint that was resumed."""
         self.store.recover(self.settings.steps_per_round)
         return {}
-
-    def _calibrate(self) -> None:
-        """Derive what is not set, once, from what was collected before the first update."""
-        if self.agent.is_calibrated:
-            return
-        derived = self.agent.calibrate(self.store.newest(), self.settings.n_step)
-        derived["warmup_steps"] = self.settings.warmup_steps
-        derived["inputs"] = {str(key): entry for key, entry in derived["inputs"].items()}
-        write_atomically(self.run_dir / DERIVED, yaml.safe_dump(derived, sort_keys=False))
-
-    def _update(self) -> Metrics:
-        with self.stopwatch("sample"):
-            batches = self.store.sample(self.settings.updates_per_round)
-        compiled = self.agent.compile_seconds
-        losses = self.agent.update(batches)
-        self.stopwatch.add("compile", self.agent.compile_seconds - compiled)
-        require_finite(losses, "the update gave")
-        return {metrics.name(metrics.LOSS, key): float(value) for key, value in losses.items()}
 
     def _save(self) -> None:
         if not self.settings.total_steps:
@@ -317,16 +297,3 @@ class Trainer:
     def _log(self, values: Mapping[str, float]) -> None:
         for logger in self.loggers:
             logger.log(values, self.env_steps)
-
-
-class _Counters:
-    """Gives a dictionary the interface of a checkpoint's component."""
-
-    def __init__(self, counters: dict[str, int]) -> None:
-        self.counters = counters
-
-    def state_dict(self) -> dict[str, int]:
-        return self.counters
-
-    def load_state_dict(self, state: dict[str, int]) -> None:
-        self.counters.update(state)

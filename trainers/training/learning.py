@@ -1,0 +1,71 @@
+"""Updates of an agent from stored transitions, after what is not set has been derived."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import yaml
+
+from rrl.algorithms import Agent
+
+from ..loggers import metrics
+from ..loggers.timing import Stopwatch
+from ..settings import TrainerSettings
+from ..storage.files import write_atomically
+from ..storage.finite import require_finite
+from ..storage.replay_store import ReplayStore
+from ..storage.run_files import DERIVED
+from .collection import Metrics
+from .learner import LearnerGenerator
+
+__all__ = ["Learning"]
+
+
+class Learning:
+    """Takes the updates of each round.
+
+    Before the first ones the agent derives what is not set from what is stored by then, and the run
+    writes it to ``derived.yaml``.
+
+    Args:
+        agent: Learns.
+        store: Gives the batches.
+        settings: Of the run.
+        run_dir: Where the run writes.
+        stopwatch: Times sampling and compiling.
+    """
+
+    def __init__(
+        self,
+        agent: Agent,
+        store: ReplayStore,
+        settings: TrainerSettings,
+        run_dir: Path,
+        stopwatch: Stopwatch,
+    ) -> None:
+        self.agent, self.store, self.settings = agent, store, settings
+        self.run_dir, self.stopwatch = run_dir, stopwatch
+        self.generator = LearnerGenerator(settings.seed)
+
+    def update(self) -> Metrics:
+        """Take a round's updates and return their mean losses.
+
+        Raises:
+            FloatingPointError: If a loss is no longer finite.
+        """
+        if not self.agent.is_calibrated:
+            self._derive()
+        compiled = self.agent.compile_seconds
+        with self.generator.drawing():
+            with self.stopwatch("sample"):
+                batches = self.store.sample(self.settings.updates_per_round)
+            losses = self.agent.update(batches)
+        self.stopwatch.add("compile", self.agent.compile_seconds - compiled)
+        require_finite(losses, "the update gave")
+        return {metrics.name(metrics.LOSS, key): float(value) for key, value in losses.items()}
+
+    def _derive(self) -> None:
+        derived = self.agent.calibrate(self.store.newest(), self.settings.n_step)
+        derived["warmup_steps"] = self.settings.warmup_steps
+        derived["inputs"] = {str(key): entry for key, entry in derived["inputs"].items()}
+        write_atomically(self.run_dir / DERIVED, yaml.safe_dump(derived, sort_keys=False))
