@@ -149,8 +149,8 @@ class TrainerSettings(_Settings):
         total_steps: Environment steps of the run.
         warmup_steps: Environment steps before the first update; None: five episodes and 300 steps,
             but no more than a tenth of the run.
-        warmup_exploration: Whether exploration noise acts during the warm-up; without it the buffer
-            starts with the controller's own episodes.
+        controller_steps: Environment steps at the start that are the controller's own, without
+            exploration; None: half of the warm-up.
         steps_per_collection: Steps of each environment between two rounds of updates.
         updates_per_step: Gradient updates per environment step.
         n_step: Rewards summed before the critics bootstrap; a sum ends with its episode and with
@@ -177,7 +177,7 @@ class TrainerSettings(_Settings):
     device: str = IN_YAML
     total_steps: NonNegative = IN_YAML
     warmup_steps: NonNegative | None = IN_YAML
-    warmup_exploration: bool = IN_YAML
+    controller_steps: NonNegative | None = IN_YAML
     steps_per_collection: Positive = IN_YAML
     updates_per_step: Annotated[float, Field(gt=0)] = IN_YAML
     n_step: Positive = IN_YAML
@@ -203,15 +203,17 @@ class TrainerSettings(_Settings):
         return round(self.steps_per_round * self.updates_per_step)
 
     def derived(self, episode_steps: int) -> TrainerSettings:
-        """Return the settings with a length of the warm-up, derived if there is none.
+        """Return the settings with the lengths that are to be derived.
 
         Args:
             episode_steps: Steps of an episode.
         """
-        if self.warmup_steps is not None:
-            return self
-        steps = warmup_length(episode_steps, self.total_steps, self.steps_per_round)
-        return self.model_copy(update={"warmup_steps": steps})
+        warmup, alone = self.warmup_steps, self.controller_steps
+        if warmup is None:
+            warmup = warmup_length(episode_steps, self.total_steps, self.steps_per_round)
+        if alone is None:
+            alone = warmup // 2 // self.steps_per_round * self.steps_per_round
+        return self.model_copy(update={"warmup_steps": warmup, "controller_steps": alone})
 
     @model_validator(mode="after")
     def _check(self) -> TrainerSettings:

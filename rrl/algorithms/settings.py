@@ -25,7 +25,8 @@ class AgentSettings(BaseModel):
         gamma: Discount; None: derived from the episode's length.
         tau: Share by which the targets follow in an update.
         policy_delay: Critic updates per update of policy and targets.
-        critic_burn_in: Updates at the start in which the critics learn and the policy waits.
+        critic_burn_in: Updates at the start in which the critics learn and the policy waits; a
+            trainer takes them all before its first round of updates.
         loss_function: The critics' loss.
         reward_scale: Factor on the stored reward before the critics see it; None: derived from the
             first transitions, so that rewards of any size are learned from alike.

@@ -138,8 +138,7 @@ class InTurn(Collection):
 
     def rollout(self, env_steps: int) -> TensorDictBase:
         """Return all that the environment wrote in a round, ``[E, T]``."""
-        warms_up = env_steps < (self.settings.warmup_steps or 0)
-        explores = self.settings.warmup_exploration or not warms_up
+        explores = env_steps >= (self.settings.controller_steps or 0)
         random, fixed = ExplorationType.RANDOM, ExplorationType.DETERMINISTIC
         self.collector.exploration_type = random if explores else fixed
         self._anneal(env_steps)  # rounds that were taken from the log

@@ -25,7 +25,7 @@ class Learning:
     """Takes the updates of each round.
 
     Before the first ones the agent derives what is not set from what is stored by then, and the run
-    writes it to ``derived.yaml``.
+    writes it to ``derived.yaml``; the critics' burn-in follows at once.
 
     Args:
         agent: Learns.
@@ -53,12 +53,14 @@ class Learning:
         Raises:
             FloatingPointError: If a loss is no longer finite.
         """
+        updates = self.settings.updates_per_round
         if not self.agent.is_calibrated:
             self._derive()
+            updates += self.agent.settings.critic_burn_in
         compiled = self.agent.compile_seconds
         with self.generator.drawing():
             with self.stopwatch("sample"):
-                batches = self.store.sample(self.settings.updates_per_round)
+                batches = self.store.sample(updates)
             losses = self.agent.update(batches)
         self.stopwatch.add("compile", self.agent.compile_seconds - compiled)
         require_finite(losses, "the update gave")

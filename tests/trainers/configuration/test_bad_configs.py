@@ -50,7 +50,7 @@ BROKEN = {
     "trainer.num_seeds=1.5": ["trainer.num_seeds", "integer", "1.5"],
     "trainer.num_seeds=null": ["trainer.num_seeds", "integer", "None"],
     "trainer.updates_per_step=often": ["trainer.updates_per_step", "number", "often"],
-    "trainer.warmup_exploration=maybe": ["trainer.warmup_exploration", "boolean", "maybe"],
+    "trainer.controller_steps=maybe": ["trainer.controller_steps", "integer", "maybe"],
     "trainer.evaluation=500": ["trainer.evaluation", "500"],
     "trainer.checkpoint.keep=all": ["trainer.checkpoint.keep", "integer", "all"],
     "residual_scale=large": ["residual_scale", "number", "large"],
@@ -101,7 +101,7 @@ BROKEN = {
     "env.symmetries.front_back.end_effector_position=[1,3,2]": [
         "end_effector_position: expected equal scales"
     ],
-    "trainer.total_steps=300": ["warmup_steps", "total_steps (300)"],
+    "trainer.warmup_steps=10000": ["warmup_steps", "total_steps (10000)"],
     "trainer.steps_per_collection=30": ["total_steps", "10000", "steps_per_collection", "30"],
     "trainer.updates_per_step=0.333": ["updates_per_step", "0.333", "whole number"],
     "trainer.buffer_capacity=100": ["buffer_capacity", "100", "batch (128)"],

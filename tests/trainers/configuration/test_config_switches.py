@@ -10,7 +10,7 @@ from rrl.trainers.configuration import build as assembly
 OF_ALL = [
     "trainer.updates_per_step=2.0",
     "trainer.n_step=3",
-    "trainer.warmup_exploration=false",
+    "trainer.controller_steps=20",
     "algorithm.agent.network.layer_norm=true",
     "algorithm.agent.critic_burn_in=20",
     "+env.inputs.base_action={}",

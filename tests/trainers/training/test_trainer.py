@@ -45,7 +45,7 @@ def test_a_seed_fixes_the_run_to_the_last_bit(make_trainer):
 
 
 def test_the_buffer_holds_the_policys_action(make_trainer):
-    trainer = make_trainer(total_steps=100, warmup_steps=40, warmup_exploration=False)
+    trainer = make_trainer(total_steps=100, warmup_steps=40, controller_steps=40)
     data = trainer.collection.rollout(trainer.env_steps)
     trainer.store.extend(trainer.collection.collect(0)[0])
     stored = trainer.replay.storage[:]
