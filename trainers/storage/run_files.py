@@ -12,6 +12,7 @@ RESULTS = "results.json"
 VERSIONS = "versions.json"
 REPORT = "report.html"
 LOG = "log.txt"
+EXPORT = "export"
 
 
 def seed_directories(run_dir: Path) -> list[Path]:
