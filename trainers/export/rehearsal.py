@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -27,11 +28,14 @@ from .traced import Traced
 
 __all__ = ["Rehearsal"]
 
-EPISODES, STEPS = 3, 20
+EPISODES, STEPS = 3, 12
 SIZES = (0.1, 1.0, 3.0)
 """How far from their centers entries lie, in their scales."""
 PLACES = 16
 """How many numbers of an entry are made NaN in turn, at most."""
+
+Played = tuple[TensorDictBase, TensorDictBase, Tensor]
+"""One step: what was shown, what the policy made of it, what was commanded."""
 
 
 class Rehearsal:
@@ -63,24 +67,28 @@ class Rehearsal:
 
     def difference(self, graph: Graph) -> float:
         """Return the largest difference of two commands, in half ranges of the action."""
-        scripts = [
-            [self._entries(SIZES[step % len(SIZES)]) for step in range(STEPS)]
-            for _ in range(EPISODES)
-        ]
-        return max(self._differences(script, graph) for script in scripts)
+        return max(self._difference(episode, graph) for episode in self._episodes)
 
     def deals_with_nan(self, name: str, graph: Graph, tolerance: float) -> bool:
         """Return whether NaN and infinity in an entry come to the same with graph and chain."""
         if name not in self._keys or not self._traced.entries[name].is_floating_point():
             return False
-        broken = self._broken(self._keys[name])
-        return all(self._differences(script, graph) <= tolerance for script in broken)
+        broken = (list(self._play(script)) for script in self._broken(self._keys[name]))
+        return all(self._difference(episode, graph) <= tolerance for episode in broken)
 
-    def _differences(self, script: Sequence[TensorDictBase], graph: Graph) -> float:
-        """Play an episode with both; return the largest difference, infinite if one is NaN."""
+    @cached_property
+    def _episodes(self) -> list[list[Played]]:
+        scripts = [
+            [self._entries(SIZES[step % len(SIZES)]) for step in range(STEPS)]
+            for _ in range(EPISODES)
+        ]
+        return [list(self._play(script)) for script in scripts]
+
+    def _difference(self, episode: Sequence[Played], graph: Graph) -> float:
+        """Play an episode again; return the largest difference, infinite if one is NaN."""
         state = {f"state/{name}": value.numpy() for name, value in self._traced.state.items()}
         worst = 0.0
-        for shown, acted, command in self._play(script):
+        for shown, acted, command in episode:
             entries = {
                 f"entry/{name}": (acted if name == BASE_ACTION else shown)
                 .get(self._keys.get(name, BASE_ACTION))
@@ -93,10 +101,8 @@ class Rehearsal:
             worst = max(worst, self._distance(command.flatten().numpy(), told[COMMAND]))
         return worst
 
-    def _play(
-        self, script: Sequence[TensorDictBase]
-    ) -> Iterator[tuple[TensorDictBase, TensorDictBase, Tensor]]:
-        """Play an episode with the trainer's chain; yield what was shown, said and commanded."""
+    def _play(self, script: Sequence[TensorDictBase]) -> Iterator[Played]:
+        """Play an episode with the trainer's chain."""
         self._robot.shown = script[0]
         td = self._env.reset()
         for shown, following in pairwise([*script, script[-1]]):
@@ -114,7 +120,7 @@ class Rehearsal:
     def _entries(self, size: float) -> TensorDictBase:
         """Make up what a robot shows, around what the policy expects."""
         td = self._robot.blank()
-        for name, key in self._keys.items():
+        for key in self._keys.values():
             spec = self._robot.observation_spec[key]
             if not spec.dtype.is_floating_point:
                 continue
@@ -127,10 +133,10 @@ class Rehearsal:
         return td
 
     def _broken(self, key: NestedKey) -> Iterator[list[TensorDictBase]]:
-        """Yield episodes of three steps, with a number in the second that is not finite."""
+        """Yield episodes of two steps, with a number in the second that is not finite."""
         places = range(min(self._robot.blank().get(key).numel(), PLACES))
         cases = [(place, math.nan) for place in places] + [(0, math.inf), (0, -math.inf)]
         for place, value in cases:
-            script = [self._entries(1.0) for _ in range(3)]
+            script = [self._entries(1.0) for _ in range(2)]
             script[1].get(key).view(-1)[place] = value
             yield script

@@ -18,7 +18,7 @@ from torch.fx import Node
 from rrl.deploy.contract import ARCHIVE, COMMAND, MODEL, graph_inputs, graph_outputs
 
 from .chain import Chain, Values
-from .nan_keeping import NAN_KEEPING
+from .portable import PORTABLE
 
 __all__ = ["Traced", "trace"]
 
@@ -113,7 +113,7 @@ def _program(chain: Chain, entries: list[str], state: list[str]) -> ExportedProg
     with _quiet(), torch.no_grad():
         step = _Step(chain, entries, state)
         program = torch.export.export(step, tuple(v.clone() for v in examples), strict=False)
-        program = program.run_decompositions(NAN_KEEPING)
+        program = program.run_decompositions(PORTABLE)
     written = [s.arg.name for s in program.graph_signature.output_specs if s.kind != USER_OUTPUT]
     if written:
         raise ValueError(f"expected no memory but a controller's state, got {written}")

@@ -1,7 +1,8 @@
-"""Operations that let NaN through on every machine.
+"""Operations that give the same with every runtime, on every machine.
 
 A guard against commands that are not numbers has to see them. IEEE 754 defines comparisons with
-NaN, while the maximum of a number and NaN depends on the runtime and the processor.
+NaN, while the maximum of a number and NaN depends on the runtime and the processor. And onnxruntime
+does not choose between booleans.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-__all__ = ["NAN_KEEPING"]
+__all__ = ["PORTABLE"]
 
 ATEN = torch.ops.aten
 Bound = Tensor | float | None
@@ -53,7 +54,13 @@ def _hardtanh(x: Tensor, low: float = -1.0, high: float = 1.0) -> Any:
     return _clamp(x, low, high)
 
 
-NAN_KEEPING: dict[Any, Callable[..., Any]] = {
+def _where(mask: Tensor, x: Tensor, other: Tensor) -> Any:
+    if x.dtype != torch.bool or other.dtype != torch.bool:
+        return NotImplemented
+    return (mask & x) | (~mask & other)
+
+
+PORTABLE: dict[Any, Callable[..., Any]] = {
     ATEN.relu.default: _relu,
     ATEN.hardtanh.default: _hardtanh,
     ATEN.clamp.default: _clamp,
@@ -64,5 +71,6 @@ NAN_KEEPING: dict[Any, Callable[..., Any]] = {
     ATEN.clamp_max.Tensor: _minimum,
     ATEN.maximum.default: _maximum,
     ATEN.minimum.default: _minimum,
+    ATEN.where.self: _where,
 }
-"""Operation to what computes it from comparisons; for numbers both give the same."""
+"""Operation to what computes it from others; for numbers both give the same."""
