@@ -124,6 +124,9 @@ class EnvironmentFactory:
             actions. A mirror goes through the inputs' ``loc``.
         metrics: Unit and reduction of what the environment writes under ``("metrics", NAME)``, by
             name. Names that are not here are reported with their mean and without a unit.
+        control_period: Seconds from one action to the next; None: what the environment's attribute
+            of that name says, or unknown.
+        units: What the numbers of ``action`` and of observation entries are counted in, by name.
     """
 
     base: Callable[..., EnvBase]
@@ -138,6 +141,8 @@ class EnvironmentFactory:
     action_history: int = 1
     symmetries: Mapping[str, Mapping[str, Sequence[int]]] = field(default_factory=dict)
     metrics: Mapping[str, Metric] = field(default_factory=dict)
+    control_period: float | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def with_overrides(self, **overrides: Any) -> EnvironmentFactory:
         """Return the same chain on a base environment with other arguments (another scenario)."""

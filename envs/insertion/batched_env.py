@@ -193,6 +193,11 @@ class InsertionEnv(EnvBase):
             entries[group] = TensorDict._new_unsafe(items, **options)
         return TensorDict._new_unsafe(entries, **options)
 
+    @property
+    def control_period(self) -> float:
+        """Seconds from one action to the next."""
+        return self.config.control_timestep
+
     def physics_state(self) -> np.ndarray:
         """Return a copy of the physics states [num_envs, nstate]: time, positions, velocities."""
         return self._simulation.state.copy()

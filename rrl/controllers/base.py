@@ -104,7 +104,8 @@ class StatefulController(Controller):
         new = self.state is None or (fresh is not None and fresh.shape != batch)
         if new:
             fresh = torch.ones(batch, dtype=torch.bool, device=tensordict.device)
-        if fresh is not None and fresh.any():
+        # An exported graph has no branches: it computes the initial state at every step.
+        if fresh is not None and (torch.compiler.is_exporting() or fresh.any()):
             start = self.initial_state(tensordict)
             # A copy even of a whole batch: an environment may change its tensors in place.
             self.state = merge(fresh, start, start if new else self.state)

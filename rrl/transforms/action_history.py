@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import torch
 from tensordict import NestedKey, TensorDictBase, unravel_key
 from torch import Tensor
@@ -46,21 +48,26 @@ class ActionHistory(ActionTransform):
         self._out_key = unravel_key(out_key or sibling(action_key, PREVIOUS_ACTION))
         super().__init__(action_key=action_key, out_keys=[self._out_key])
         self.steps = check_whole("steps", steps, 1)
-        self._given: Tensor | None = None  # the action on its way to the environment
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         # Transforms nearer to the environment change the action before the step's outcome is here.
-        self._given = require(self, tensordict, self._action_key)
+        given = require(self, tensordict, self._action_key)
+        self.memory = {**self.memory, "given": given}
         return tensordict
 
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
         nothing = torch.zeros_like(self.limits().low)
-        return {"history": nothing.repeat_interleave(self.steps, -1)}
+        return {"history": nothing.repeat_interleave(self.steps, -1), "given": nothing}
 
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
-        history, given = self.recall("history"), self._given
-        assert given is not None
-        return {"history": torch.cat([history[..., given.shape[-1] :], given.to(history)], -1)}
+        history, given = self.recall("history"), self.recall("given").to(self.limits().dtype)
+        return {
+            "history": torch.cat([history[..., given.shape[-1] :], given], -1),
+            "given": given,
+        }
+
+    def _outputs(self) -> Iterable[Tensor]:
+        return [self.memory["history"]]
 
     forward = SlotTransform.forward
 

@@ -73,11 +73,18 @@ class ControlNoise(ActionTransform, RandomTransform):
             out_keys=[executed_key],
         )
         self._executed_key = executed_key
+        self._set(mu, sigma)
+
+    def _set(self, mu: float | Sequence[float], sigma: float | Sequence[float]) -> None:
         self.mu = per_dimension("mu", mu)
         self.sigma = per_dimension("sigma", sigma, minimum=0.0)
         self._noisy = bool((self.sigma != 0).any())
         self._active = self._noisy or bool((self.mu != 0).any())
         self._scaled: tuple[Tensor, Tensor] | None = None  # mu and sigma in action units
+
+    def silence(self) -> None:
+        """Take away bias and noise; what was executed is still recorded."""
+        self._set(0.0, 0.0)
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         limits = self.limits()

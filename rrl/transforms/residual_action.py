@@ -97,6 +97,12 @@ class ResidualAction(ActionTransform):
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
         return self._base_action(next_td, mask)
 
+    def _advance_or_start(
+        self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask, started: Tensor
+    ) -> Memory:
+        self.controller.reset(started)  # and then run once, in all slots
+        return self._base_action(next_td, mask)
+
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the base action outside an environment, for example in front of an actor."""
         return tensordict.set(self._base_key, self._base_action(tensordict, None)["base_action"])

@@ -30,6 +30,7 @@ USAGE = """usage: rrl COMMAND [key=value ...]
   rrl train resume=RUN [key=value ...]  continue a run, or the seeds of one
   rrl evaluate run=RUN [key=value ...]  evaluate its newest checkpoint, into evaluation-TIME.json
   rrl render run=RUN [key=value ...]    write a video of controller and residual on one episode
+  rrl export run=RUN [key=value ...]    write what a robot needs into RUN/export: graph and contract
   rrl report RUN... [out=FILE]          write one interactive page about runs, side by side
   rrl dashboard entity=USER [project=P] lay out the W&B workspace (extra rrl[dashboard])
   rrl reproduce [NAME ...] [key=value]  make the paper's experiments again, all or those named;
@@ -46,7 +47,7 @@ process at once.
 Exit status: 0 done, 2 an error (one message on stderr), 128 + n stopped by signal n.
 """
 
-COMMANDS = ("train", "evaluate", "render", "report", "dashboard", "reproduce", "new")
+COMMANDS = ("train", "evaluate", "render", "export", "report", "dashboard", "reproduce", "new")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -100,7 +101,7 @@ def new_directory(path: Path) -> Path:
 
 
 def _configured(command: str, arguments: list[str]) -> None:
-    """Run a command that reads a configuration: train, evaluate, render."""
+    """Run a command that reads a configuration: train, evaluate, render, export."""
     from .compose import compose_train, through_hydra
 
     run_dir, rest = _split_run(command, arguments)
@@ -135,6 +136,7 @@ def _split_run(command: str, arguments: list[str]) -> tuple[Path | None, list[st
 def _perform(command: str, composed: Composed, *, resume: bool) -> None:
     # Here, because they import torch: help and usage errors come at once.
     from .evaluate import evaluate, render
+    from .export import export
     from .train import train
 
     console, config, run_dir = Output(), composed.config, composed.run_dir
@@ -142,7 +144,9 @@ def _perform(command: str, composed: Composed, *, resume: bool) -> None:
         console.say(f"reading {path.relative_to(Path.cwd())} of this project instead of rrl's own")
     if command != "train":
         DurableStream.log = run_dir / LOG
-        {"evaluate": evaluate, "render": render}[command](config, run_dir, console)
+        {"evaluate": evaluate, "render": render, "export": export}[command](
+            config, run_dir, console
+        )
         return
     run_dir = run_dir if composed.chosen else new_directory(run_dir)
     DurableStream.log = run_dir / LOG

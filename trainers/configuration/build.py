@@ -57,6 +57,8 @@ def environment(config: Config) -> EnvironmentFactory:
         action_history=env.get("action_history", 1),
         symmetries=env.get("symmetries") or {},
         metrics={name: Metric(**(how or {})) for name, how in (env.get("metrics") or {}).items()},
+        control_period=env.get("control_period"),
+        units=env.get("units") or {},
     )
 
 

@@ -55,6 +55,8 @@ class _Env(_Section):
     action_history: Positive = 1
     symmetries: dict[str, dict[str, list[int]]] | None = None
     metrics: dict[PlainName, Metric | None] | None = None
+    control_period: Annotated[float, Field(gt=0)] | None = None
+    units: dict[str, str] | None = None
     sensing: Targets = None
     renderer: Target | None = None
 

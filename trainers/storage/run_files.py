@@ -13,6 +13,7 @@ VERSIONS = "versions.json"
 DERIVED = "derived.yaml"
 REPORT = "report.html"
 LOG = "log.txt"
+EXPORT = "export"
 
 
 def seed_directories(run_dir: Path) -> list[Path]:

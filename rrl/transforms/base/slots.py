@@ -58,6 +58,13 @@ class SlotTransform(Transform):
             mask: Slots that were stepped. What is returned for other slots does not count.
         """
 
+    def _advance_or_start(
+        self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask, started: Tensor
+    ) -> Memory:
+        """Return the memory after a step within which the slots in ``started`` were reset."""
+        memory = self._advance(td, next_td, mask)
+        return merge(started, self._first(next_td, started), memory)
+
     def _outputs(self) -> Iterable[Tensor]:
         """Return what is written to each of ``out_keys``; by default all that is remembered."""
         return self.memory.values()
@@ -80,13 +87,14 @@ class SlotTransform(Transform):
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         mask = step_mask(tensordict, next_tensordict.batch_size)
-        memory = self._advance(tensordict, next_tensordict, mask)
         if self.resets_itself():
             # Here, not in _reset_on_native_autoreset, which sees what later transforms have made
             # of the first observations.
             started = _any_done(next_tensordict)
             started = started if mask is None else started & mask
-            memory = merge(started, self._first(next_tensordict, started), memory)
+            memory = self._advance_or_start(tensordict, next_tensordict, mask, started)
+        else:
+            memory = self._advance(tensordict, next_tensordict, mask)
         return self._remember(next_tensordict, memory, mask)
 
     def _remember(self, tensordict: TensorDictBase, memory: Memory, mask: Mask) -> TensorDictBase:
@@ -161,6 +169,17 @@ class RandomTransform(Seeded, SlotTransform):
         super().__init__(**keys)
         self._follows_global_seed = seed is None
         self._generators = SlotGenerators(seed, 1, stream)
+
+    def silence(self) -> None:
+        """Take away the fault and keep the entries: a real sensor or actuator has its own.
+
+        Raises:
+            NotImplementedError: If the transform does not say what is left without the fault.
+        """
+        raise NotImplementedError(
+            f"{type(self).__name__}: expected a method silence(), which leaves the entries and "
+            "takes away the fault; a policy is exported without simulated faults"
+        )
 
     def seed(self, seed: int | None) -> None:
         """Start the random numbers anew; see the constructor's ``seed``."""

@@ -75,8 +75,7 @@ class SafetyLimit(ActionTransform):
         measured = self.recall("measured")
         safe = self.limit(action, measured, limits).to(limits.dtype)
         known = finite(safe) & finite(measured)
-        if not known.all():
-            safe = torch.where(known, safe, self.hold(tensordict, measured).to(limits.dtype))
+        safe = torch.where(known, safe, self.hold(tensordict, measured).to(limits.dtype))
         safe = torch.clamp(safe, limits.low, limits.high)
         tensordict.set(self._flag_key, self.changed(action, safe))
         if tensordict.get(self._executed_key, None) is not None:

@@ -64,6 +64,10 @@ class ObservationLatency(RandomTransform):
         check("dropout", dropout, "a probability in [0, 1)", 0.0 <= dropout < 1.0)
         self.dropout = float(dropout)
 
+    def silence(self) -> None:
+        """Deliver every observation at once."""
+        self.steps, self.update_interval, self.dropout = 0, 1, 0.0
+
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
         batch = td.batch_size
         memory = {

@@ -55,9 +55,16 @@ class ObservationNoise(RandomTransform):
             out_keys=in_keys if out_keys is None else out_keys,
         )
         check_keys(self, self.in_keys, self.out_keys)
+        self._set(sigma, bias)
+
+    def _set(self, sigma: float | Sequence[float], bias: float | Sequence[float]) -> None:
         self.sigma = per_dimension("sigma", sigma, minimum=0.0)
         self.bias = per_dimension("bias", bias)
         self._noisy = bool((self.sigma != 0).any())
+
+    def silence(self) -> None:
+        """Take away bias and noise."""
+        self._set(0.0, 0.0)
 
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
         return self._observe(td, mask)

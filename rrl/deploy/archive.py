@@ -1,0 +1,34 @@
+"""``policy.pt2`` in the place of ``policy.onnx``, for robots that have torch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from rrl.deploy.contract import ARCHIVE, read_contract
+from rrl.deploy.policy import Arrays, Graph
+
+__all__ = ["torch_graph"]
+
+
+def torch_graph(folder: str | Path) -> Graph:
+    """Load ``policy.pt2``, for ``Policy(folder, rate, graph=torch_graph(folder))``."""
+    contract = read_contract(folder)
+    module = torch.export.load(Path(folder) / ARCHIVE).module()
+    return module_graph(module, contract.inputs, contract.outputs)
+
+
+def module_graph(
+    module: Callable[..., Any], inputs: Sequence[str], outputs: Sequence[str]
+) -> Graph:
+    """Return a graph that calls a module of tensors, with the names of its inputs and outputs."""
+
+    def run(values: Arrays) -> Arrays:
+        with torch.no_grad():
+            results = module(*(torch.from_numpy(values[name]) for name in inputs))
+        return {name: value.numpy() for name, value in zip(outputs, results, strict=True)}
+
+    return run

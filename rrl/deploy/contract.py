@@ -1,0 +1,183 @@
+"""What an exported policy takes, gives and was made from: ``contract.json``.
+
+Layout of the folder::
+
+    contract.json   {"sha256": of the canonical JSON of "content", "content": {...}}
+    policy.onnx     the graph for onnxruntime
+    policy.pt2      the same graph for torch.export.load
+
+Inputs of either graph are the entries, then the state; outputs the command, the reports and the
+state for the next step, each in the contract's order. In ``policy.onnx`` they have the names that
+:attr:`Contract.inputs` and :attr:`Contract.outputs` give.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "ARCHIVE",
+    "COMMAND",
+    "CONTRACT",
+    "FORMAT",
+    "MODEL",
+    "Contract",
+    "Entry",
+    "digest",
+    "fingerprint",
+    "graph_inputs",
+    "graph_outputs",
+    "read_contract",
+]
+
+FORMAT = 1
+CONTRACT, MODEL, ARCHIVE = "contract.json", "policy.onnx", "policy.pt2"
+COMMAND = "command"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One array that goes into the graph or comes out of it.
+
+    Attributes:
+        name: Its name.
+        shape: Its shape; there are no batch dimensions.
+        dtype: NumPy's name of its type.
+        unit: What its numbers are counted in; empty: unknown.
+        guarded: Of an observation: whether the graph itself deals with NaN and infinity in it.
+        initial: Of a state: its value at the start of an episode, flat.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    dtype: str
+    unit: str = ""
+    guarded: bool = False
+    initial: tuple[Any, ...] = ()
+
+    def start(self) -> NDArray[Any]:
+        """Return the initial value."""
+        return np.array(self.initial, dtype=self.dtype).reshape(self.shape)
+
+
+@dataclass(frozen=True)
+class Contract:
+    """What an exported policy takes and gives.
+
+    Attributes:
+        entries: What the robot shows, in the graph's order.
+        command: What the robot is told.
+        reports: What else the graph tells: base action, residual, safety limits that spoke.
+        state: What is handed from a step to the next one.
+        rate: Control steps a second that the policy was trained at; None: unknown.
+        ends_episode: The report that ends the episode when it is true; None: none does.
+        content: All that the file holds.
+    """
+
+    entries: tuple[Entry, ...]
+    command: Entry
+    reports: tuple[Entry, ...]
+    state: tuple[Entry, ...]
+    rate: float | None
+    ends_episode: str | None
+    content: Mapping[str, Any]
+
+    @property
+    def inputs(self) -> list[str]:
+        """The graph's inputs in their order."""
+        return graph_inputs(*([e.name for e in group] for group in (self.entries, self.state)))
+
+    @property
+    def outputs(self) -> list[str]:
+        """The graph's outputs in their order."""
+        return graph_outputs(*([e.name for e in group] for group in (self.reports, self.state)))
+
+
+def graph_inputs(entries: Sequence[str], state: Sequence[str]) -> list[str]:
+    """Return the names of a graph's inputs."""
+    return [*(f"entry/{name}" for name in entries), *(f"state/{name}" for name in state)]
+
+
+def graph_outputs(reports: Sequence[str], state: Sequence[str]) -> list[str]:
+    """Return the names of a graph's outputs."""
+    return [COMMAND, *(f"report/{name}" for name in reports), *(f"next/{name}" for name in state)]
+
+
+def read_contract(folder: str | Path) -> Contract:
+    """Read a folder's contract and compare every file with its checksum.
+
+    Raises:
+        FileNotFoundError: If there is no contract, or no graph for onnxruntime.
+        ValueError: If a file was changed, or is of another format.
+    """
+    path = Path(folder) / CONTRACT
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"folder: expected what `rrl export run=RUN` wrote, got {str(folder)!r}: "
+            f"no {CONTRACT} there"
+        )
+    content = _sealed(path)
+    for name, expected in content["files"].items():
+        file = path.with_name(name)
+        if name == MODEL and not file.is_file():
+            raise FileNotFoundError(f"{file}: expected the graph that belongs to {path}, got none")
+        if file.is_file() and fingerprint(file) != expected["sha256"]:
+            raise ValueError(
+                f"{file}: expected the file that was exported, got a changed one (SHA-256 "
+                "differs); export the run again"
+            )
+    return Contract(
+        entries=tuple(map(_entry, content["entries"])),
+        command=_entry(content["command"]),
+        reports=tuple(map(_entry, content["reports"])),
+        state=tuple(map(_entry, content["state"])),
+        rate=None if content["control_period"] is None else 1.0 / content["control_period"],
+        ends_episode=content["ends_episode"],
+        content=content,
+    )
+
+
+def digest(content: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a contract's content, however it is laid out in the file."""
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def fingerprint(path: Path) -> str:
+    """Return a file's SHA-256."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _sealed(path: Path) -> dict[str, Any]:
+    try:
+        sealed = json.loads(path.read_text(encoding="utf-8"))
+        content, intact = sealed["content"], sealed["sha256"] == digest(sealed["content"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{path}: expected a contract, got a torn file: {error}") from error
+    if not intact:
+        raise ValueError(
+            f"{path}: expected the contract that was exported, got a changed one (SHA-256 "
+            "differs); export the run again"
+        )
+    if content["format"] != FORMAT:
+        raise ValueError(f"{path}: expected format {FORMAT}, got {content['format']!r}")
+    return dict(content)
+
+
+def _entry(node: Mapping[str, Any]) -> Entry:
+    return Entry(
+        node["name"],
+        tuple(node["shape"]),
+        node["dtype"],
+        node.get("unit") or "",
+        bool(node.get("guarded")),
+        tuple(node.get("initial", ())),
+    )

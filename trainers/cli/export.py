@@ -1,0 +1,90 @@
+"""``rrl export``: what a robot needs of a run, in one folder."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from tensordict.nn import TensorDictModuleBase
+
+from ..configuration import build as assembly
+from ..console import Output
+from ..export.folder import export_policy, require_tools
+from ..pretrained import best_run, trained_agent
+from ..storage.run_files import EXPORT, RESULTS, VERSIONS
+
+__all__ = ["export"]
+
+
+def export(config: assembly.Config, run_dir: Path, console: Output) -> None:
+    """Write the policy of a run, or of the best seed, with everything around it."""
+    require_tools()
+    run, folder = best_run(run_dir), run_dir / EXPORT
+    config = {**config, "trainer": {**config["trainer"], "num_seeds": 1}}
+    assembly.check(config)
+    policy, checkpoint = _handed_over(config, run)
+    console.say(f"loaded {checkpoint}")
+    environment = assembly.environment(config)
+    content = export_policy(environment, policy, folder, _about(config, run, checkpoint))
+    for line in _summary(content):
+        console.say(line)
+    for path in sorted(folder.iterdir()):
+        console.say(f"  {path}")
+
+
+def _handed_over(config: assembly.Config, run: Path) -> tuple[TensorDictModuleBase, Path]:
+    """Return the policy that a run hands over, and the checkpoint that it comes from."""
+    agent, checkpoint = trained_agent(config, run)
+    return agent.policy, checkpoint
+
+
+def _about(config: assembly.Config, run: Path, checkpoint: Path) -> dict[str, Any]:
+    """Return where a policy was trained and how well it did."""
+    results = _read(run / RESULTS) or {}
+    return {
+        "trained": {
+            "name": config["name"],
+            "run": str(run),
+            "checkpoint": checkpoint.name,
+            "environment": config["env"]["base"],
+            "algorithm": config["algorithm"]["agent"],
+            "seed": config["trainer"]["seed"],
+            "versions": _read(run / VERSIONS),
+        },
+        "results": {scenario: record["summary"] for scenario, record in results.items()},
+    }
+
+
+def _read(path: Path) -> Any:
+    """Return a JSON file's content; None if there is none."""
+    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+
+
+def _summary(content: dict[str, Any]) -> list[str]:
+    """Return what to know before a robot gets it."""
+    period, controller = content["control_period"], content["controller"]
+    rate = f"{1 / period:g} Hz" if period else "an unknown rate (env.control_period=SECONDS)"
+    lines = [
+        f"reads {_arrays(content['entries'])} at {rate}; commands {_arrays([content['command']])}",
+        f"remembers {_arrays(content['state']) or 'nothing'}",
+    ]
+    inside = controller["why_outside"] is None
+    lines.append(
+        f"the controller {controller['class']} is inside"
+        if inside
+        else f"the controller {controller['class']} stays outside, and base_action is an entry: "
+        f"{controller['why_outside']}"
+    )
+    simulated = [node["class"] for group in content["left_out"].values() for node in group]
+    lines += [f"left out, because a robot has its own: {', '.join(simulated)}"] if simulated else []
+    rehearsal = content["rehearsal"]
+    worst = max(rehearsal["largest_difference"].values())
+    lines.append(
+        f"the trainer's commands to {worst:.1e} of the half range, in {rehearsal['steps']} steps"
+    )
+    return lines
+
+
+def _arrays(nodes: list[dict[str, Any]]) -> str:
+    return ", ".join(f"{node['name']} {node['shape']}" for node in nodes)

@@ -1,0 +1,1 @@
+"""From a trained policy to a folder that a robot can run."""

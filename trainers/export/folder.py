@@ -1,0 +1,181 @@
+"""The folder that a robot gets: graph, contract, checksums."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict.nn import TensorDictModuleBase
+from torchrl.envs import EnvBase
+
+from rrl.deploy.archive import module_graph
+from rrl.deploy.contract import ARCHIVE, COMMAND, CONTRACT, FORMAT, MODEL, digest, fingerprint
+from rrl.deploy.policy import onnx_graph
+from rrl.keys import ACTION, BASE_ACTION
+
+from ..environment import EnvironmentFactory
+from ..storage.versions import versions
+from .chain import Chain
+from .described import array, bounds, left_out, named, plain
+from .rehearsal import Rehearsal
+from .traced import trace
+
+__all__ = ["TOLERANCE", "export_policy", "require_tools"]
+
+TOLERANCE = 1e-5
+"""Largest difference from the trainer's commands, in half ranges of the action. Rounding in float32
+comes to less, and a graph that is wrong to far more."""
+TOOLS = ("onnx", "onnxscript", "onnxruntime")
+
+
+def export_policy(
+    environment: EnvironmentFactory,
+    policy: TensorDictModuleBase,
+    folder: Path,
+    about: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Write everything between a robot's raw entries and its command into one folder.
+
+    The trainer's own chain is recorded, and the files are rehearsed: they have to give the
+    trainer's commands. Simulated faults (disturbances, noise and latency of sensors) are left out.
+    A controller that cannot be recorded stays outside, and ``base_action`` is an entry.
+
+    Args:
+        environment: The scenario.
+        policy: From the inputs to the residual.
+        folder: Where to write; an earlier export is replaced.
+        about: What else the contract says, such as where the policy was trained.
+
+    Returns:
+        The contract's content.
+
+    Raises:
+        ImportError: If what writes ONNX is not installed.
+        FileExistsError: If ``folder`` holds something else.
+        ValueError: If the chain cannot be recorded, or a file does not give its commands.
+    """
+    tools = require_tools()
+    if folder.exists() and not (folder / CONTRACT).is_file():
+        raise FileExistsError(f"{folder}: expected no folder or an earlier export, got another one")
+    stage = folder.with_name(f".{folder.name}.partial")
+    shutil.rmtree(stage, ignore_errors=True)
+    stage.mkdir(parents=True)
+    env = environment.make(1)
+    try:
+        content = _write(env.base_env, environment, policy, stage)
+    except Exception:
+        shutil.rmtree(stage)
+        raise
+    finally:
+        env.close()
+    content |= {"versions": versions() | tools, **plain(about or {})}
+    content["files"] = {
+        name: {"bytes": (stage / name).stat().st_size, "sha256": fingerprint(stage / name)}
+        for name in (MODEL, ARCHIVE)
+    }
+    sealed = {"sha256": digest(content), "content": content}
+    (stage / CONTRACT).write_text(json.dumps(sealed, indent=1) + "\n", encoding="utf-8")
+    shutil.rmtree(folder, ignore_errors=True)
+    stage.rename(folder)
+    return content
+
+
+def _write(
+    like: EnvBase, environment: EnvironmentFactory, policy: TensorDictModuleBase, folder: Path
+) -> dict[str, Any]:
+    """Write both graphs into ``folder`` and return what the contract says about them."""
+    why_outside = None
+    try:
+        content = _attempt(like, environment, Chain(like, environment, policy), policy, folder)
+    except Exception as error:  # recording fails in any way that a controller's code can
+        why_outside = _first_line(error)
+        try:
+            chain = Chain(like, environment, policy, with_controller=False)
+            content = _attempt(like, environment, chain, policy, folder)
+        except Exception as cause:
+            raise ValueError(
+                "the chain cannot be exported: expected transforms and a policy of torch "
+                f"operations that do not branch on numbers, got {_first_line(cause)}"
+            ) from cause
+    return {
+        "format": FORMAT,
+        "control_period": environment.control_period or getattr(like, "control_period", None),
+        **content,
+        "controller": {**named(environment.controller), "why_outside": why_outside},
+        "residual_scale": plain(environment.residual_scale),
+        "safety": [named(make) for make in environment.safety],
+        "left_out": left_out(environment),
+    }
+
+
+def _attempt(
+    like: EnvBase,
+    environment: EnvironmentFactory,
+    chain: Chain,
+    policy: TensorDictModuleBase,
+    folder: Path,
+) -> dict[str, Any]:
+    """Record a chain, write both graphs and rehearse them."""
+    traced = trace(chain)
+    traced.save(folder)
+    rehearsal = Rehearsal(like, environment, policy, traced)
+    program = torch.export.load(folder / ARCHIVE)
+    graphs = {
+        MODEL: onnx_graph(folder / MODEL),
+        ARCHIVE: module_graph(program.module(), traced.inputs, traced.outputs),
+    }
+    differences = {name: rehearsal.difference(graph) for name, graph in graphs.items()}
+    for name, difference in differences.items():
+        if difference > TOLERANCE:
+            raise ValueError(
+                f"{name}: expected the trainer's commands to {TOLERANCE:g} half ranges of the "
+                f"action, got a difference of {difference:g}; a part of the chain keeps a memory "
+                "that it does not declare"
+            )
+    guarded = {
+        name
+        for name in traced.entries
+        if chain.guard and rehearsal.deals_with_nan(name, graphs[MODEL], TOLERANCE)
+    }
+    units, action = environment.units, like.full_action_spec[ACTION]
+    return {
+        "entries": [
+            array(name, value, units.get(name), guarded=name in guarded)
+            for name, value in traced.entries.items()
+        ],
+        "command": array(COMMAND, traced.command, units.get(ACTION), **bounds(action)),
+        "reports": [
+            array(name, value, units.get(ACTION) if name == BASE_ACTION else None)
+            for name, value in traced.reports.items()
+        ],
+        "state": [
+            array(name, value, initial=value.flatten().tolist())
+            for name, value in traced.state.items()
+        ],
+        "ends_episode": chain.guard if chain.guard_ends_episode else None,
+        "rehearsal": {"steps": rehearsal.steps, "largest_difference": differences},
+    }
+
+
+def _first_line(error: Exception) -> str:
+    text = str(error).strip().partition("\n")[0]
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def require_tools() -> dict[str, str]:
+    """Return the versions of what writes and runs ONNX.
+
+    Raises:
+        ImportError: If something is not installed.
+    """
+    try:
+        return {name: import_module(name).__version__ for name in TOOLS}
+    except ImportError as error:
+        raise ImportError(
+            f"expected {', '.join(TOOLS)}, got no {error.name}: pip install 'rrl[export]'"
+        ) from error
