@@ -117,7 +117,7 @@ def test_training_exceeds_no_limit_even_towards_harm(variant, monkeypatch, tmp_p
     comparison = results[first]
     # It did learn harm.
     assert comparison.residual.returns.mean() < comparison.controller.returns.mean()
-    assert comparison.summary()["safety_step"] > 0
+    assert comparison.summary()["safety_force"] > 0
     with (tmp_path / "metrics.csv").open() as file:
         logged = {row["metric"] for row in csv.DictReader(file)}
     assert {"safety/workspace", "safety/force", "safety/step"} <= logged
