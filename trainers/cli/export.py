@@ -6,12 +6,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-from tensordict.nn import TensorDictModuleBase
-
 from ..configuration import build as assembly
 from ..console import Output
 from ..export.folder import export_policy, require_tools
-from ..pretrained import best_run, trained_agent
+from ..pretrained import TrainedRun, best_run, trained_run
 from ..storage.run_files import EXPORT, RESULTS, VERSIONS
 
 __all__ = ["export"]
@@ -23,30 +21,30 @@ def export(config: assembly.Config, run_dir: Path, console: Output) -> None:
     run, folder = best_run(run_dir), run_dir / EXPORT
     config = {**config, "trainer": {**config["trainer"], "num_seeds": 1}}
     assembly.check(config)
-    policy, checkpoint = _handed_over(config, run)
-    console.say(f"loaded {checkpoint}")
+    trained = trained_run(config, run)
+    handed_over = trained.handed_over
+    console.say(f"loaded {trained.checkpoint}")
+    if handed_over.tested and not handed_over.env_steps:
+        console.say("no policy was accepted: the folder holds the controller alone")
     environment = assembly.environment(config)
-    content = export_policy(environment, policy, folder, _about(config, run, checkpoint))
+    content = export_policy(environment, handed_over.policy, folder, _about(config, run, trained))
     for line in _summary(content):
         console.say(line)
     for path in sorted(folder.iterdir()):
         console.say(f"  {path}")
 
 
-def _handed_over(config: assembly.Config, run: Path) -> tuple[TensorDictModuleBase, Path]:
-    """Return the policy that a run hands over, and the checkpoint that it comes from."""
-    agent, checkpoint = trained_agent(config, run)
-    return agent.policy, checkpoint
-
-
-def _about(config: assembly.Config, run: Path, checkpoint: Path) -> dict[str, Any]:
+def _about(config: assembly.Config, run: Path, trained: TrainedRun) -> dict[str, Any]:
     """Return where a policy was trained and how well it did."""
     results = _read(run / RESULTS) or {}
     return {
         "trained": {
             "name": config["name"],
             "run": str(run),
-            "checkpoint": checkpoint.name,
+            "checkpoint": trained.checkpoint.name,
+            "accepted_env_steps": trained.handed_over.env_steps
+            if trained.handed_over.tested
+            else None,
             "environment": config["env"]["base"],
             "algorithm": config["algorithm"]["agent"],
             "seed": config["trainer"]["seed"],
