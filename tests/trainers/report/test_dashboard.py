@@ -18,7 +18,11 @@ ONE = np.ones(1)
 METRICS = {"contact_force": ONE, "tilt": ONE}
 EPISODES = Episodes(ONE, ONE.astype(int), ONE.astype(bool), ONE.astype(bool), METRICS)
 LOGGED = [
-    *(f"eval/misaligned/{name}" for name in Comparison(EPISODES, EPISODES).summary()),
+    *(
+        f"eval/misaligned/{name}"
+        for name in Comparison(EPISODES, EPISODES, accepted=EPISODES).summary()
+    ),
+    *("acceptance/episodes", "acceptance/evidence", "acceptance/alpha_left"),
     *("action/residual_share", "action/residual_rms", "action/clip_fraction"),
     *("train/reward", "train/reward_terms/tilt", "loss/loss_critic", "safety/force", "time/update"),
 ]
@@ -79,12 +83,13 @@ def test_whatever_the_environment_reports_has_a_panel(view):
     ]
 
 
-def test_a_panel_shows_the_controller_beside_the_residual():
+def test_a_panel_shows_controller_and_what_is_handed_over_beside_the_residual():
     pattern = dashboard.line_plot(LENGTH)["metric_regex"]
     found = [name for name in LOGGED if re.search(pattern, name)]
     assert found == [
         "eval/misaligned/episode_length",
         "eval/misaligned/controller_episode_length",
+        "eval/misaligned/accepted_episode_length",
     ]
 
 
