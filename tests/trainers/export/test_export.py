@@ -1,0 +1,230 @@
+"""What an export holds, what stays outside, and what cannot be exported."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+from driving import random_policy, trainers_episode
+from tensordict.nn import TensorDictModule
+from torchrl.envs import GymEnv
+from torchrl.envs.transforms import Transform
+
+from rrl.algorithms import TD3, mlp
+from rrl.controllers import Controller, ProportionalController, StatefulController
+from rrl.deploy import Policy, read_contract
+from rrl.trainers.environment import EnvironmentFactory
+from rrl.trainers.evaluation.rollout import zero_residual
+from rrl.trainers.export.folder import export_policy
+from rrl.transforms import ControlNoise, FiniteAction
+from rrl.transforms.base import RandomTransform, SlotTransform
+from toy_envs import PointMass
+
+KEYS = ["end_effector_position", "goal"]
+
+
+def point(**changes):
+    return EnvironmentFactory(
+        **{
+            "base": lambda num_envs=1: PointMass([num_envs]),
+            "controller": partial(ProportionalController, gain=2.0),
+            "inputs": KEYS,
+            "max_episode_steps": 20,
+            **changes,
+        }
+    )
+
+
+def policy_for(factory):
+    return random_policy(factory, partial(TD3, network=partial(mlp, hidden=[16, 16])))
+
+
+class ByNumPy(Controller):
+    """Leaves torch."""
+
+    def act(self, tensordict):
+        position, goal = (self.read(tensordict, key).numpy() for key in KEYS)
+        return torch.from_numpy(2.0 * (goal - position))
+
+
+class Decides(Controller):
+    """Branches on a number."""
+
+    def act(self, tensordict):
+        error = self.read(tensordict, "goal") - self.read(tensordict, "end_effector_position")
+        return 2.0 * error if error.norm() > 0.1 else error
+
+
+class Counts(Controller):
+    """Keeps a memory that it does not declare."""
+
+    steps = 0
+
+    def act(self, tensordict):
+        self.steps += 1
+        return 0.01 * self.steps * self.read(tensordict, "goal")
+
+
+@pytest.mark.parametrize("controller", [ByNumPy, Decides, Counts])
+def test_a_controller_that_cannot_be_recorded_stays_outside(controller, tmp_path):
+    factory = point(controller=partial(controller, KEYS), residual_scale=0.5)
+    policy = policy_for(factory)
+    content = export_policy(factory, policy, tmp_path / "export")
+    assert content["controller"]["why_outside"]
+    exported = Policy(tmp_path / "export")
+    assert [e.name for e in exported.contract.entries] == [*KEYS, "base_action"]
+    episode = trainers_episode(factory, policy, exported, seed=1)
+    np.testing.assert_allclose(episode.shadow, episode.commands, rtol=0, atol=1e-6)
+
+
+class FromTheStart(StatefulController):
+    """Remembers where the episode has begun: a state that depends on the first observation."""
+
+    def initial_state(self, tensordict):
+        start = self.read(tensordict, "end_effector_position")
+        return {"start": start, "nested": {"steps": torch.zeros_like(start[..., :1])}}
+
+    def act(self, tensordict):
+        state = self.state_for(tensordict)
+        steps = state["nested"]["steps"] + 1
+        self.state = {"start": state["start"], "nested": {"steps": steps}}
+        return state["start"] - 0.1 * steps * self.read(tensordict, "goal")
+
+
+class Filtered(SlotTransform):
+    """Prepares an entry: a moving average, which a robot needs as well."""
+
+    def __init__(self):
+        super().__init__(in_keys=["goal"], out_keys=["goal"])
+
+    def _first(self, td, mask):
+        return {"mean": td["goal"].clone()}
+
+    def _advance(self, td, next_td, mask):
+        return {"mean": 0.9 * self.recall("mean") + 0.1 * next_td["goal"]}
+
+
+def test_memory_of_any_part_is_handed_from_step_to_step(tmp_path):
+    factory = point(
+        controller=partial(FromTheStart, KEYS),
+        sensing=[Filtered],
+        inputs=[*KEYS, "base_action", "previous_action"],
+        action_history=3,
+    )
+    policy = policy_for(factory)
+    content = export_policy(factory, policy, tmp_path / "export")
+    assert content["left_out"] == {"disturbances": [], "sensing": []}
+    exported = Policy(tmp_path / "export")
+    names = {entry.name for entry in exported.contract.state}
+    assert {"FromTheStart.start", "FromTheStart.nested.steps", "Filtered.mean"} <= names
+    assert {"ActionHistory.history", "ActionHistory.given", "starts"} <= names
+    for seed in range(2):
+        episode = trainers_episode(factory, policy, exported, seed)
+        np.testing.assert_allclose(episode.shadow, episode.commands, rtol=0, atol=1e-6)
+
+
+def test_a_chain_without_memory_has_no_state(tmp_path):
+    content = export_policy(point(), policy_for(point()), tmp_path / "export")
+    assert content["state"] == []
+    assert content["ends_episode"] is None
+
+
+def test_what_is_recorded_of_the_executed_action_survives_without_its_noise(tmp_path):
+    factory = point(disturbances=[partial(ControlNoise, mu=0.3)], inputs=[*KEYS, "executed_action"])
+    content = export_policy(factory, policy_for(factory), tmp_path / "export")
+    assert [e["name"] for e in content["entries"]] == KEYS
+    assert any("executed_action" in e["name"] for e in content["state"])
+    assert content["left_out"]["disturbances"] == [
+        {"class": "rrl.transforms.control_noise.ControlNoise", "mu": 0.3}
+    ]
+
+
+def test_the_controller_alone_can_be_exported(tmp_path):
+    env = point().make(1)
+    export_policy(point(), zero_residual(env), tmp_path / "export")
+    exported = Policy(tmp_path / "export")
+    command = exported.act({"end_effector_position": [0.1, 0.2], "goal": [0.3, -0.1]})
+    np.testing.assert_array_equal(command, exported.reports["base_action"])
+
+
+class PD(Controller):
+    """Torque from the angle, by a function that onnxruntime computes otherwise for NaN."""
+
+    def act(self, tensordict):
+        cos, sin, velocity = self.read(tensordict, "observation").split(1, dim=-1)
+        return (-8.0 * torch.atan2(sin, cos) - 2.0 * velocity).clamp(-2.0, 2.0)
+
+
+def test_nan_that_the_graph_would_not_see_is_refused(tmp_path):
+    factory = EnvironmentFactory(
+        base=partial(GymEnv, "Pendulum-v1"),
+        controller=partial(PD, ["observation"]),
+        inputs=["base_action"],
+        safety=[FiniteAction],
+        batching="serial",
+    )
+    export_policy(factory, policy_for(factory), tmp_path / "export")
+    assert not read_contract(tmp_path / "export").entries[0].guarded
+    with pytest.raises(ValueError, match="observation: expected finite numbers"):
+        Policy(tmp_path / "export").act({"observation": [np.nan, 0.0, 0.0]})
+
+
+class Sorted(Transform):
+    """Cannot be recorded: it leaves torch."""
+
+    def _call(self, next_tensordict):
+        goal = next_tensordict["goal"].numpy()
+        return next_tensordict.set("goal", torch.from_numpy(np.sort(goal)))
+
+    forward = _call
+
+    def _reset(self, tensordict, tensordict_reset):
+        return self._call(tensordict_reset)
+
+
+class Fault(RandomTransform):
+    """A fault that does not say what is left without it."""
+
+    def __init__(self):
+        super().__init__(seed=0, stream="fault", in_keys=["goal"], out_keys=["goal"])
+
+    def _first(self, td, mask):
+        return {"goal": td["goal"]}
+
+    def _advance(self, td, next_td, mask):
+        return {"goal": next_td["goal"]}
+
+
+@pytest.mark.parametrize(
+    ("sensing", "message"),
+    [
+        (Sorted, "the chain cannot be exported: expected transforms and a policy of torch"),
+        (Fault, r"Fault: expected a method silence\(\)"),
+    ],
+)
+def test_a_chain_that_cannot_be_recorded_is_refused(sensing, message, tmp_path):
+    factory = point(sensing=[sensing])
+    with pytest.raises((ValueError, NotImplementedError), match=message):
+        export_policy(factory, policy_for(point()), tmp_path / "export")
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_earlier_export_is_replaced_and_nothing_else(tmp_path):
+    folder = tmp_path / "export"
+    export_policy(point(), policy_for(point()), folder, {"trained": {"seed": 1}})
+    content = export_policy(point(), policy_for(point()), folder, {"trained": {"seed": 2}})
+    assert read_contract(folder).content == content
+    assert content["trained"] == {"seed": 2}
+    assert list(tmp_path.iterdir()) == [folder]
+    (tmp_path / "mine").mkdir()
+    with pytest.raises(FileExistsError, match="mine: expected no folder or an earlier export"):
+        export_policy(point(), policy_for(point()), tmp_path / "mine")
+
+
+def test_what_is_not_installed_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxscript", None)
+    with pytest.raises(ImportError, match=r"onnxscript.*pip install 'rrl\[export\]'"):
+        export_policy(point(), TensorDictModule(lambda: None, [], ["action"]), tmp_path / "export")
