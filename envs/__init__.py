@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from .opengl import RenderingUnavailable  # isort: skip - it has to import MuJoCo first
 from .composer import ComposerEnv
+from .gymnasium import gymnasium_env
 from .insertion.batched_env import InsertionEnv
 from .insertion.composer_env import NAMES, load
 from .insertion.composer_task import InsertionTask
@@ -23,6 +24,7 @@ __all__ = [
     "InsertionEnv",
     "InsertionTask",
     "RenderingUnavailable",
+    "gymnasium_env",
     "load",
     "make_config",
     "render_composer",

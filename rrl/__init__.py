@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     )
     from rrl.controllers import (
         Controller,
+        FunctionController,
         PIDController,
         PolicyController,
         ProportionalController,
@@ -63,6 +64,7 @@ __all__ = [
     "EnvironmentFactory",
     "FiniteAction",
     "ForceLimit",
+    "FunctionController",
     "ObservationLatency",
     "ObservationNoise",
     "PIDController",

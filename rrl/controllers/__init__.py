@@ -1,6 +1,7 @@
 """Controllers: modules from observation keys to ``base_action``."""
 
 from rrl.controllers.base import Controller, StatefulController
+from rrl.controllers.function import FunctionController
 from rrl.controllers.pid import PIDController
 from rrl.controllers.policy import PolicyController
 from rrl.controllers.proportional import ProportionalController
@@ -10,6 +11,7 @@ from rrl.controllers.zero import ZeroController
 
 __all__ = [
     "Controller",
+    "FunctionController",
     "PIDController",
     "PolicyController",
     "ProportionalController",

@@ -64,17 +64,12 @@ class Controller(TensorDictModuleBase):
 
     def snapshot(self) -> list[Any]:
         """Return the state of every stateful controller in here, for :meth:`restore`."""
-        return [(module.state, module._fresh) for module in self._stateful()]
+        return [module.memory() for module in self._stateful()]
 
     def restore(self, snapshot: list[Any], mask: Tensor) -> None:
         """Put a snapshot back in the slots where ``mask`` (bool ``[*batch]``) is True."""
-        for module, (state, fresh) in zip(self._stateful(), snapshot, strict=True):
-            if state is None:
-                module.reset_state(mask)
-                continue
-            module.state = merge(mask, state, module.state)
-            if fresh is not None:
-                module._fresh = merge(mask, fresh, module._fresh)
+        for module, memory in zip(self._stateful(), snapshot, strict=True):
+            module.put_back(memory, mask)
 
     def _stateful(self) -> list[StatefulController]:
         return [module for module in self.modules() if isinstance(module, StatefulController)]
@@ -119,6 +114,20 @@ class StatefulController(Controller):
             self.state = self._fresh = None
         else:
             self._fresh = mask if self._fresh is None else self._fresh | mask
+
+    def memory(self) -> Any:
+        """Return what :meth:`put_back` needs."""
+        return self.state, self._fresh
+
+    def put_back(self, memory: Any, mask: Tensor) -> None:
+        """Put :meth:`memory` back in the slots where ``mask`` (bool ``[*batch]``) is True."""
+        state, fresh = memory
+        if state is None:
+            self.reset_state(mask)
+            return
+        self.state = merge(mask, state, self.state)
+        if fresh is not None:
+            self._fresh = merge(mask, fresh, self._fresh)
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return the state for ``state_dict``."""

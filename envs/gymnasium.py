@@ -1,0 +1,111 @@
+"""Any Gymnasium environment as a TorchRL environment that reports its success."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.data import Binary, Composite, TensorSpec
+from torchrl.envs import GymWrapper
+from torchrl.envs.gym_like import BaseInfoDictReader
+
+from rrl.keys import SUCCESS
+
+__all__ = ["gymnasium_env"]
+
+Success = str | Callable[[Any], Any]
+
+
+def gymnasium_env(
+    make: str | Callable[..., Any],
+    *,
+    success: Success | None = None,
+    any_time: bool = False,
+    seed: Callable[[Any, int], Any] | None = None,
+    max_episode_steps: int | None = None,
+    **arguments: Any,
+) -> GymWrapper:
+    """Return a Gymnasium environment with ``batch_size []`` as a TorchRL environment.
+
+    Entries of a dictionary keep their names (``observation``, ``achieved_goal``, ``desired_goal``);
+    any other observation is called ``observation``. The action is called ``action``.
+
+    Args:
+        make: A registered name, or a function that makes the environment.
+        success: Says whether the task is solved in this state: the name of an entry of a step's
+            ``info``, often ``success`` or ``is_success``, or a function of the environment that
+            ``make`` gave. It becomes ``success`` [1], bool.
+        any_time: Success stays until the next reset: an episode counts as solved if any of its
+            states was. Otherwise the last one decides.
+        seed: Seeds the environment, called as ``seed(env, number)`` before a reset with a seed; for
+            one whose ``reset`` ignores its seed.
+        max_episode_steps: Truncates episodes after so many steps.
+        arguments: Of ``gymnasium.make`` or of ``make``.
+
+    Raises:
+        ImportError: If Gymnasium is not installed.
+        TypeError: If ``make`` gives no Gymnasium environment, or a vector of them.
+        KeyError: If a step's ``info`` lacks the entry that ``success`` names.
+    """
+    try:
+        import gymnasium
+    except ImportError as error:
+        raise ImportError("a Gymnasium environment needs: pip install gymnasium") from error
+
+    class Reporting(gymnasium.Wrapper):
+        """Seeds the environment and writes ``success`` into every ``info``."""
+
+        def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, Any]:
+            if seed is None or seed_env is None:
+                observation, info = self.env.reset(seed=seed, options=options)
+            else:
+                seed_env(env, seed)
+                observation, info = self.env.reset(options=options)
+            self.solved = False
+            return observation, {**info, SUCCESS: self.solved}
+
+        def step(self, action: Any) -> tuple[Any, ...]:
+            *outcome, info = self.env.step(action)
+            if success is not None:
+                solved = _is_solved(success, env, info)
+                self.solved = solved or (any_time and self.solved)
+            return (*outcome, {**info, SUCCESS: self.solved})
+
+    seed_env = seed
+    if isinstance(make, str):
+        env = gymnasium.make(make, max_episode_steps=max_episode_steps, **arguments)
+    else:
+        env = make(**arguments)
+    if not isinstance(env, gymnasium.Env):
+        remedy = "; batching: serial or parallel runs copies" if hasattr(env, "num_envs") else ""
+        raise TypeError(f"make: expected one gymnasium.Env, got a {type(env).__name__}{remedy}")
+    limited = env
+    if max_episode_steps is not None and not isinstance(make, str):
+        limited = gymnasium.wrappers.TimeLimit(env, max_episode_steps)
+    wrapped = GymWrapper(Reporting(limited))
+    if success is not None:
+        wrapped.set_info_dict_reader(_SuccessReader())
+    return wrapped
+
+
+def _is_solved(success: Success, env: Any, info: dict[str, Any]) -> bool:
+    if callable(success):
+        return bool(success(env))
+    if success not in info:
+        raise KeyError(
+            f"success: expected an entry of info, which has {sorted(info)}, got {success!r}"
+        )
+    return bool(info[success])
+
+
+class _SuccessReader(BaseInfoDictReader):
+    """Reads what ``Reporting`` writes."""
+
+    def __call__(self, info_dict: dict[str, Any], tensordict: TensorDictBase) -> TensorDictBase:
+        return tensordict.set(SUCCESS, torch.tensor([info_dict[SUCCESS]]))
+
+    @property
+    def info_spec(self) -> Composite[str, TensorSpec]:
+        return Composite({SUCCESS: Binary(1, (1,), dtype=torch.bool)}, shape=[])
