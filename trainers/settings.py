@@ -16,6 +16,7 @@ from .seeds import MAX_SEED
 
 __all__ = [
     "CheckpointSettings",
+    "ConstraintSettings",
     "EvaluationSettings",
     "NonNegative",
     "Positive",
@@ -104,6 +105,18 @@ class EvaluationSettings(_Settings):
     slots: Positive = IN_YAML
 
 
+class ConstraintSettings(_Settings):
+    """How the learner keeps to the budgets of quantities.
+
+    Attributes:
+        rate: By how much a multiplier grows for an episode that needs twice its budget, and falls
+            for one that needs nothing.
+    """
+
+    section = "constraints"
+    rate: Annotated[float, Field(gt=0)] = IN_YAML
+
+
 class CheckpointSettings(_Settings):
     """How often the run is saved.
 
@@ -147,6 +160,7 @@ class TrainerSettings(_Settings):
         matmul_precision: ``highest`` for float32 products, ``medium`` for bfloat16 products under
             float32.
         evaluation: See :class:`EvaluationSettings`.
+        constraints: See :class:`ConstraintSettings`; None: budgets are reported, not kept.
         checkpoint: See :class:`CheckpointSettings`.
     """
 
@@ -168,6 +182,7 @@ class TrainerSettings(_Settings):
     flush_denormals: bool = IN_YAML
     matmul_precision: Literal["highest", "high", "medium"] = IN_YAML
     evaluation: EvaluationSettings = IN_YAML
+    constraints: ConstraintSettings | None = IN_YAML
     checkpoint: CheckpointSettings = IN_YAML
 
     @property

@@ -27,6 +27,7 @@ from ..storage.run_files import DERIVED
 from ..storage.same_run import require_same_run
 from .background_collection import InBackground
 from .collection import Collection, Exploration, InTurn, Metrics
+from .constraints import Constraints
 from .interruption import Interruption
 from .learner import LearnerGenerator, default_agent, default_exploration
 from .profiling import Profile, measured
@@ -96,6 +97,7 @@ class Trainer:
             settings.device,
         )
         self.replay = self.store.replay
+        self.constraints = Constraints(environment.metrics, settings.constraints)
         self.evaluator = Evaluator(scenarios or {"training": environment}, settings.evaluation)
         self.generator = LearnerGenerator(settings.seed)
         self.counters: dict[str, int] = {"env_steps": 0, "restarts": 0}
@@ -104,6 +106,7 @@ class Trainer:
             "agent": self.agent,
             "collection": self.collection,
             "replay": self.store,
+            "constraints": self.constraints,
             "generator": self.generator,
             "progress": _Counters(self.counters),
         }
@@ -230,8 +233,8 @@ class Trainer:
         with self.stopwatch("collect"):
             transitions, values = self.collection.collect(self.env_steps)
         with self.stopwatch("store"):
-            self.store.extend(transitions)
-        return values
+            stored = self.store.extend(transitions)
+        return values | self.constraints.adapt(stored)
 
     def _next_round(self) -> int | None:
         """Return where the next round starts, if it may be collected now."""
@@ -240,8 +243,7 @@ class Trainer:
 
     def _recover(self) -> Metrics:
         """Take a round from the log: it was stored after the checkpoint that was resumed."""
-        self.store.recover(self.settings.steps_per_round)
-        return {}
+        return self.constraints.adapt(self.store.recover(self.settings.steps_per_round))
 
     def _calibrate(self) -> None:
         """Derive what is not set, once, from what was collected before the first update."""
@@ -255,6 +257,7 @@ class Trainer:
     def _update(self) -> Metrics:
         with self.stopwatch("sample"):
             batches = self.store.sample(self.settings.updates_per_round)
+            batches = self.constraints.charge(batches, self.agent.reward_scale)
         compiled = self.agent.compile_seconds
         losses = self.agent.update(batches)
         self.stopwatch.add("compile", self.agent.compile_seconds - compiled)
