@@ -34,3 +34,6 @@ SAFETY = "safety"
 
 METRICS = "metrics"
 """Nested entry with one number a slot and name: what an environment wants reported."""
+
+SO_FAR = "so_far"
+"""Nested entry with what each constrained metric has come to in the episode so far."""

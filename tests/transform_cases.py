@@ -22,6 +22,7 @@ from rrl.controllers import (
 from rrl.transforms import (
     ActionHistory,
     ControlNoise,
+    EpisodeValue,
     FiniteAction,
     ForceLimit,
     ObservationLatency,
@@ -143,6 +144,11 @@ def action_history(seed: int | None) -> Transform:
     return ActionHistory(3, out_key=("memory", "action"))
 
 
+def episode_value(seed: int | None) -> Transform:
+    """The point writes whether it has arrived."""
+    return EpisodeValue({"success": "sum"})
+
+
 def residual_history(seed: int | None) -> Transform:
     return Compose(residual(seed), ActionHistory(2))
 
@@ -181,6 +187,7 @@ CASES: dict[str, Factory] = {
         force_limit,
         finite_action,
         action_history,
+        episode_value,
         residual_history,
         safe_residual,
         chain,

@@ -17,6 +17,7 @@ from .seeds import MAX_SEED
 __all__ = [
     "AcceptanceSettings",
     "CheckpointSettings",
+    "ConstraintSettings",
     "EvaluationSettings",
     "NonNegative",
     "Positive",
@@ -124,6 +125,18 @@ class AcceptanceSettings(_Settings):
     episodes: Positive = IN_YAML
 
 
+class ConstraintSettings(_Settings):
+    """How the learner keeps to the budgets of quantities.
+
+    Attributes:
+        rate: By how much a multiplier grows for an episode that needs twice its budget, and falls
+            for one that needs nothing.
+    """
+
+    section = "constraints"
+    rate: Annotated[float, Field(gt=0)] = IN_YAML
+
+
 class CheckpointSettings(_Settings):
     """How often the run is saved.
 
@@ -168,6 +181,7 @@ class TrainerSettings(_Settings):
             float32.
         evaluation: See :class:`EvaluationSettings`.
         acceptance: See :class:`AcceptanceSettings`.
+        constraints: See :class:`ConstraintSettings`; None: budgets are reported, not kept.
         checkpoint: See :class:`CheckpointSettings`.
     """
 
@@ -190,6 +204,7 @@ class TrainerSettings(_Settings):
     matmul_precision: Literal["highest", "high", "medium"] = IN_YAML
     evaluation: EvaluationSettings = IN_YAML
     acceptance: AcceptanceSettings = IN_YAML
+    constraints: ConstraintSettings | None = IN_YAML
     checkpoint: CheckpointSettings = IN_YAML
 
     @property

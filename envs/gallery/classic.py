@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -45,7 +46,7 @@ class DoublePendulumLQR:
         import gymnasium
         from scipy.linalg import solve_discrete_are
 
-        env = gymnasium.make("InvertedDoublePendulum-v5").unwrapped
+        env: Any = gymnasium.make("InvertedDoublePendulum-v5").unwrapped
         model = copy.deepcopy(env.model)
         model.opt.gravity[:] *= gravity
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER  # RK4 has no derivatives

@@ -59,7 +59,7 @@ class Push:
             self.pushes = False
         if off > 0.02 and not self.pushes:
             height = 0.08 if off > 0.04 else 0.0  # over the object, not through it
-            return _command(behind + [0.0, 0.0, height] - hand, -1.0)
+            return _command(np.add(behind, [0.0, 0.0, height]) - hand, -1.0)
         self.pushes = True
         return _command(thing + 0.02 * direction - hand, -1.0)
 
@@ -90,7 +90,7 @@ class PickAndPlace:
             aside = float(np.linalg.norm(to_thing[:2]))
             if aside > 0.015:
                 above = 0.08 if aside > 0.03 else 0.02
-                return _command(to_thing + [0.0, 0.0, above], 1.0)
+                return _command(np.add(to_thing, [0.0, 0.0, above]), 1.0)
             if distance > 0.02:
                 return _command(to_thing, 1.0)
         self.steps_closed += 1
@@ -102,7 +102,7 @@ class PickAndPlace:
 
 
 def _seen(observation: Vector, error: float) -> Vector:
-    return observation[3:6] + [error, 0.0, 0.0]
+    return np.add(observation[3:6], [error, 0.0, 0.0])
 
 
 def _command(way: Vector, gripper: float) -> Vector:

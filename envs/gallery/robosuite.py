@@ -1,4 +1,4 @@
-"""robosuite's Lift: a Panda under its operational-space controller lifts a cube (Zhu et al., 2020)."""
+"""robosuite's Lift (Zhu et al., 2020): a Panda under operational-space control lifts a cube."""
 
 from __future__ import annotations
 
@@ -71,10 +71,10 @@ class Lift:
             hand: Position of the gripper ``[3]`` [m].
             cube: Position of the cube ``[3]`` [m].
         """
-        way = cube + [self.error, self.error, 0.0] - hand
+        way = np.add(cube, [self.error, self.error, 0.0]) - hand
         aside = float(np.linalg.norm(way[:2]))
         if self.steps_closed == 0 and aside > 0.015:
-            return _command(way + [0.0, 0.0, 0.05], -1.0)
+            return _command(np.add(way, [0.0, 0.0, 0.05]), -1.0)
         if self.steps_closed == 0 and abs(way[2]) > 0.01:
             return _command(way, -1.0)
         self.steps_closed += 1

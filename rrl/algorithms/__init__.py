@@ -3,6 +3,7 @@
 from rrl.algorithms.base import Agent
 from rrl.algorithms.ddpg import DDPG
 from rrl.algorithms.ensemble import EnsembleSACLoss, EnsembleTD3Loss
+from rrl.algorithms.multiplier import Multiplier
 from rrl.algorithms.networks import Concatenate, mlp
 from rrl.algorithms.optimizers import Adam, TorchOptimizer
 from rrl.algorithms.sac import SAC, no_exploration
@@ -19,6 +20,7 @@ __all__ = [
     "Concatenate",
     "EnsembleSACLoss",
     "EnsembleTD3Loss",
+    "Multiplier",
     "TorchOptimizer",
     "mlp",
     "no_exploration",

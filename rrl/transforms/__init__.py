@@ -2,6 +2,7 @@
 
 from rrl.transforms.action_history import ActionHistory
 from rrl.transforms.control_noise import ControlNoise
+from rrl.transforms.episode_value import EpisodeValue
 from rrl.transforms.residual_action import ResidualAction
 from rrl.transforms.safety import FiniteAction, ForceLimit, SafetyLimit, StepLimit, WorkspaceLimit
 from rrl.transforms.sensing import ObservationLatency, ObservationNoise
@@ -9,6 +10,7 @@ from rrl.transforms.sensing import ObservationLatency, ObservationNoise
 __all__ = [
     "ActionHistory",
     "ControlNoise",
+    "EpisodeValue",
     "FiniteAction",
     "ForceLimit",
     "ObservationLatency",

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 __all__ = [
     "ACCEPTANCE",
     "ACTION",
+    "CONSTRAINT",
     "EVALUATION",
     "FINAL",
     "LOSS",
@@ -49,6 +50,10 @@ ACTION = "action"
 SAFETY = "safety"
 """Share of the training steps in which a limit changed the action: ``safety/workspace``,
 ``safety/step``, ``safety/force``; in evaluations ``eval/<scenario>/safety_<limit>``."""
+
+CONSTRAINT = "constraint"
+"""Of every quantity with a budget: ``constraint/<name>/multiplier``, the price of one budget, and
+``constraint/<name>/episode``, what the exploring policy's episodes came to."""
 
 TIME = "time"
 """Seconds since the last row: ``time/collect`` (waiting, where it overlaps), ``store``, ``sample``,

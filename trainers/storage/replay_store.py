@@ -25,7 +25,11 @@ CHUNK = 2**16
 
 
 def stored_keys(inputs: Iterable[NestedKey]) -> list[NestedKey]:
-    """Return what is kept: the *policy's* action, before controller and disturbance."""
+    """Return what is kept: the *policy's* action, before controller and disturbance.
+
+    Args:
+        inputs: What is kept of a state.
+    """
     following = [*inputs, "reward", "done", "terminated"]
     nested = [("next", *([key] if isinstance(key, str) else key)) for key in following]
     return [*inputs, ACTION, *nested]
@@ -86,8 +90,11 @@ class ReplayStore:
         """Return all transitions in the buffer, ``[n]``."""
         return self.replay[:].select(*self.keys)
 
-    def extend(self, data: TensorDictBase) -> None:
+    def extend(self, data: TensorDictBase) -> TensorDictBase:
         """Store collected ``data`` [E, T]; when this returns it survives the process.
+
+        Returns:
+            What was stored, ``[T * E]`` in the order of time.
 
         Raises:
             FloatingPointError: If there are numbers in it that are not finite; nothing is stored.
@@ -100,6 +107,7 @@ class ReplayStore:
         self.log.append(transitions)
         self._extend_buffer(transitions)
         self.count += len(transitions)
+        return transitions
 
     def set_pending_aside(self) -> None:
         """Move the pending transitions to a tail file."""
@@ -123,9 +131,9 @@ class ReplayStore:
                 whole,
             )
 
-    def recover(self, size: int) -> None:
-        """Put the next ``size`` pending transitions into the buffer."""
-        self._fill(self.count, self.count + size)
+    def recover(self, size: int) -> TensorDictBase:
+        """Put the next ``size`` pending transitions into the buffer, and return them."""
+        return self._fill(self.count, self.count + size)
 
     def mark(self) -> dict[str, int]:
         """Return where the buffer stands in the log, which is then on disk up to there."""
@@ -164,13 +172,16 @@ class ReplayStore:
         self.keys = list(transitions.keys(True, True))
         self.replay.extend(transitions)
 
-    def _fill(self, first: int, last: int) -> None:
+    def _fill(self, first: int, last: int) -> TensorDict:
+        """Put records into the buffer; return those of the last chunk."""
+        transitions = TensorDict()
         for start in range(first, last, CHUNK):
             transitions, damaged = self.log.read(start, min(start + CHUNK, last))
             if damaged:
                 self._replace(transitions, damaged, start)
             self._extend_buffer(transitions)
         self.count = last
+        return transitions
 
     def _replace(self, transitions: TensorDict, damaged: list[int], start: int) -> None:
         """Put the nearest sound transition in the place of each damaged one."""

@@ -15,14 +15,16 @@ from torchrl.envs.transforms import InitTracker
 from torchrl.envs.utils import ExplorationType
 
 from rrl.inputs import Input
-from rrl.keys import ACTION
+from rrl.keys import ACTION, METRICS, SO_FAR
 from rrl.slot_random import seed_env
+from rrl.transforms import EpisodeValue
 
 from ..environment import EnvironmentFactory
 from ..seeds import Stream, first_seed
 from ..settings import TrainerSettings
 from ..storage.replay_store import stored_keys
 from .collection_metrics import EpisodeReturns, collection_metrics
+from .constraints import budgets
 from .episode_state import EpisodeInProgress
 from .profiling import measured, watch_collection
 
@@ -114,6 +116,11 @@ class InTurn(Collection):
         self.exploration = exploration(spec=spec)
         if hasattr(self.exploration, "is_init_key"):  # a process that starts anew with an episode
             self.env.append_transform(InitTracker())
+        self._costs: list[NestedKey] = []  # what constraints are about
+        if constrained := budgets(environment.metrics, settings.constraints):
+            reductions = {(METRICS, n): environment.metrics[n].reduce for n in constrained}
+            self.env.append_transform(EpisodeValue(reductions))
+            self._costs = [(SO_FAR, name) for name in constrained]
         self._returns = EpisodeReturns(settings.num_envs)
         self._annealed = 0  # environment steps that the exploration module knows of
 
@@ -158,10 +165,11 @@ class InTurn(Collection):
         """Collect now."""
         with torch.no_grad():
             data = self.rollout(env_steps)
+            kept = [*self.interface.inputs, *self._costs]
             if self.env.__dict__.get("_torchrl_native_autoreset", False):
-                _fill_in_last_observations(data, self.interface.inputs)
+                _fill_in_last_observations(data, kept)
             values = collection_metrics(data, self.env) | self._returns.metrics(data)
-        return data.select(*stored_keys(self.interface.inputs)), values | measured(self.stopwatch)
+        return data.select(*stored_keys(kept)), values | measured(self.stopwatch)
 
     @property
     def can_continue(self) -> bool:

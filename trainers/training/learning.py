@@ -16,6 +16,7 @@ from ..storage.finite import require_finite
 from ..storage.replay_store import ReplayStore
 from ..storage.run_files import DERIVED
 from .collection import Metrics
+from .constraints import Constraints
 from .learner import LearnerGenerator
 
 __all__ = ["Learning"]
@@ -30,6 +31,7 @@ class Learning:
     Args:
         agent: Learns.
         store: Gives the batches.
+        constraints: Charges what they used.
         settings: Of the run.
         run_dir: Where the run writes.
         stopwatch: Times sampling and compiling.
@@ -39,12 +41,13 @@ class Learning:
         self,
         agent: Agent,
         store: ReplayStore,
+        constraints: Constraints,
         settings: TrainerSettings,
         run_dir: Path,
         stopwatch: Stopwatch,
     ) -> None:
         self.agent, self.store, self.settings = agent, store, settings
-        self.run_dir, self.stopwatch = run_dir, stopwatch
+        self.run_dir, self.stopwatch, self.constraints = run_dir, stopwatch, constraints
         self.generator = LearnerGenerator(settings.seed)
 
     def update(self) -> Metrics:
@@ -61,6 +64,7 @@ class Learning:
         with self.generator.drawing():
             with self.stopwatch("sample"):
                 batches = self.store.sample(updates)
+                batches = self.constraints.charge(batches, self.agent.reward_scale)
             losses = self.agent.update(batches)
         self.stopwatch.add("compile", self.agent.compile_seconds - compiled)
         require_finite(losses, "the update gave")

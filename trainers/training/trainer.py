@@ -26,6 +26,7 @@ from ..storage.same_run import require_same_run
 from .acceptance import Acceptance
 from .background_collection import InBackground
 from .collection import Collection, Exploration, InTurn, Metrics
+from .constraints import Constraints
 from .counters import Counters
 from .interruption import Interruption
 from .learner import default_agent, default_exploration
@@ -97,9 +98,12 @@ class Trainer:
             settings.device,
         )
         self.replay = self.store.replay
+        self.constraints = Constraints(environment.metrics, settings.constraints)
         self.evaluator = Evaluator(scenarios or {"training": environment}, settings.evaluation)
         self.acceptance = Acceptance(settings, self.agent, self.evaluator)
-        self.learning = Learning(self.agent, self.store, settings, self.run_dir, self.stopwatch)
+        self.learning = Learning(
+            self.agent, self.store, self.constraints, settings, self.run_dir, self.stopwatch
+        )
         self.counters: dict[str, int] = {"env_steps": 0, "restarts": 0}
         self._resumed = False
         components = {
@@ -107,6 +111,7 @@ class Trainer:
             "collection": self.collection,
             "replay": self.store,
             "handed_over": self.acceptance,
+            "constraints": self.constraints,
             "generator": self.learning.generator,
             "progress": Counters(self.counters),
         }
@@ -239,8 +244,8 @@ class Trainer:
         with self.stopwatch("collect"):
             transitions, values = self.collection.collect(self.env_steps)
         with self.stopwatch("store"):
-            self.store.extend(transitions)
-        return values
+            stored = self.store.extend(transitions)
+        return values | self.constraints.adapt(stored)
 
     def _next_round(self) -> int | None:
         """Return where the next round starts, if it may be collected now."""
@@ -249,8 +254,7 @@ class Trainer:
 
     def _recover(self) -> Metrics:
         """Take a round from the log: it was stored after the checkpoint that was resumed."""
-        self.store.recover(self.settings.steps_per_round)
-        return {}
+        return self.constraints.adapt(self.store.recover(self.settings.steps_per_round))
 
     def _save(self) -> None:
         if not self.settings.total_steps:

@@ -37,6 +37,7 @@ TIMED = {
     "chain",
     "action_history",
     "residual_history",
+    "episode_value",
 }  # cases that need an order in time
 LIMITS = {"workspace_limit", "step_limit", "force_limit", "finite_action", "safe_residual"}
 RESIDUALS = {

@@ -1,0 +1,37 @@
+"""The price of a constraint."""
+
+from __future__ import annotations
+
+from rrl.checks import check
+
+__all__ = ["Multiplier"]
+
+
+class Multiplier:
+    """A Lagrange multiplier that finds the price at which a mean keeps to its budget.
+
+    Dual ascent, one step for every sample c of what has the budget b:
+
+        lambda <- max(0, lambda + rate * (c / b - 1))
+
+    It is at rest where the mean of c is b, or at zero with a mean below b.
+
+    Args:
+        budget: b, positive.
+        rate: Size of a step, positive.
+
+    Attributes:
+        value: lambda.
+
+    Raises:
+        ValueError: If a number is not positive.
+    """
+
+    def __init__(self, budget: float, rate: float) -> None:
+        check("budget", budget, "a positive number", budget > 0)
+        check("rate", rate, "a positive number", rate > 0)
+        self.budget, self.rate, self.value = float(budget), float(rate), 0.0
+
+    def adapt(self, sample: float) -> None:
+        """Take one step."""
+        self.value = max(0.0, self.value + self.rate * (sample / self.budget - 1.0))
