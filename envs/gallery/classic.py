@@ -5,11 +5,13 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from types import SimpleNamespace
-from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are
+
+from . import packages
 
 __all__ = ["DoublePendulumLQR", "LanderHeuristic"]
 
@@ -24,9 +26,8 @@ class LanderHeuristic:
     """
 
     def __init__(self, bias: Sequence[float] = (0.0, 0.0)) -> None:
-        from gymnasium.envs.box2d.lunar_lander import heuristic
-
-        self.heuristic, self.bias = heuristic, np.array(bias)
+        self.heuristic = packages.lunar_lander().heuristic
+        self.bias = np.array(bias)
         self.lander = SimpleNamespace(unwrapped=SimpleNamespace(continuous=True))
 
     def __call__(self, observation: Vector) -> Vector:
@@ -43,10 +44,7 @@ class DoublePendulumLQR:
     """
 
     def __init__(self, gravity: float = 1.0) -> None:
-        import gymnasium
-        from scipy.linalg import solve_discrete_are
-
-        env: Any = gymnasium.make("InvertedDoublePendulum-v5").unwrapped
+        env = packages.gymnasium().make("InvertedDoublePendulum-v5").unwrapped
         model = copy.deepcopy(env.model)
         model.opt.gravity[:] *= gravity
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER  # RK4 has no derivatives

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -45,13 +47,13 @@ class JacoReach:
 
     Args:
         gain: Share of the way commanded in a second [1/s].
-        error: By how much it misjudges where the target is, along x [m].
+        target_offset: By how much it misjudges where the target is (x, y, z) [m].
     """
 
-    def __init__(self, gain: float = 2.0, error: float = 0.0) -> None:
+    def __init__(self, gain: float = 2.0, target_offset: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
         from dm_control import manipulation
 
-        self.gain, self.error = gain, error
+        self.gain, self.target_offset = gain, np.array(target_offset)
         self._env = manipulation.load(REACH, seed=0)  # its model computes the Jacobian
         model = self._env.physics.model
         names = [model.id2name(i, "joint") for i in range(model.njnt)]
@@ -76,6 +78,6 @@ class JacoReach:
         jacobian = np.zeros((3, model.nv))
         mujoco.mj_jacSite(model, data, jacobian, None, self._hand)
         j = jacobian[:, self._velocities]  # (3, 6)
-        way = target[0] + [self.error, 0.0, 0.0] - data.site_xpos[self._hand]
+        way = target[0] + self.target_offset - data.site_xpos[self._hand]
         arm = j.T @ np.linalg.solve(j @ j.T + DAMPING**2 * np.eye(3), self.gain * way)
         return np.concatenate([np.clip(arm, -self._limits, self._limits), self._fingers])

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .compatibility import patch_gymnasium_robotics
+from . import packages
 
 __all__ = ["PickAndPlace", "Push", "make"]
 
@@ -22,23 +23,19 @@ def make(task: str) -> Any:
     Args:
         task: Registered name, such as ``FetchPush-v4``.
     """
-    import gymnasium
-    import gymnasium_robotics
-
-    patch_gymnasium_robotics()
-    gymnasium.register_envs(gymnasium_robotics)
-    return gymnasium.make(task, reward_type="dense")
+    packages.gymnasium_robotics()
+    return packages.gymnasium().make(task, reward_type="dense")
 
 
 class Push:
     """Goes behind the object and pushes it straight towards the goal.
 
     Args:
-        error: By how much it misjudges where the object is, along x [m].
+        object_offset: By how much it misjudges where the object is (x, y, z) [m].
     """
 
-    def __init__(self, error: float = 0.0) -> None:
-        self.error = error
+    def __init__(self, object_offset: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
+        self.object_offset = np.array(object_offset)
         self.reset()
 
     def reset(self) -> None:
@@ -47,7 +44,7 @@ class Push:
 
     def __call__(self, observation: Vector, goal: Vector) -> Vector:
         """Return the hand's motion and the closed gripper ``[4]``."""
-        hand, thing = observation[:3], _seen(observation, self.error)
+        hand, thing = observation[:3], observation[3:6] + self.object_offset
         way = (goal - thing) * [1.0, 1.0, 0.0]
         distance = float(np.linalg.norm(way))
         if distance < 0.03:
@@ -59,7 +56,7 @@ class Push:
             self.pushes = False
         if off > 0.02 and not self.pushes:
             height = 0.08 if off > 0.04 else 0.0  # over the object, not through it
-            return _command(np.add(behind, [0.0, 0.0, height]) - hand, -1.0)
+            return _command(_above(behind, height) - hand, -1.0)
         self.pushes = True
         return _command(thing + 0.02 * direction - hand, -1.0)
 
@@ -68,13 +65,13 @@ class PickAndPlace:
     """Goes above the object, down, closes the gripper and carries the object to the goal.
 
     Args:
-        error: By how much it misjudges where the object is, along x [m].
+        object_offset: By how much it misjudges where the object is (x, y, z) [m].
     """
 
     GRASP_STEPS = 4
 
-    def __init__(self, error: float = 0.0) -> None:
-        self.error = error
+    def __init__(self, object_offset: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
+        self.object_offset = np.array(object_offset)
         self.reset()
 
     def reset(self) -> None:
@@ -83,14 +80,14 @@ class PickAndPlace:
 
     def __call__(self, observation: Vector, goal: Vector) -> Vector:
         """Return the hand's motion and the gripper's ``[4]``."""
-        hand, thing = observation[:3], _seen(observation, self.error)
+        hand, thing = observation[:3], observation[3:6] + self.object_offset
         to_thing = thing - hand
         distance = float(np.linalg.norm(to_thing))
         if self.steps_closed == 0:
             aside = float(np.linalg.norm(to_thing[:2]))
             if aside > 0.015:
                 above = 0.08 if aside > 0.03 else 0.02
-                return _command(np.add(to_thing, [0.0, 0.0, above]), 1.0)
+                return _command(_above(to_thing, above), 1.0)
             if distance > 0.02:
                 return _command(to_thing, 1.0)
         self.steps_closed += 1
@@ -101,8 +98,8 @@ class PickAndPlace:
         return _command(goal - hand, -1.0)
 
 
-def _seen(observation: Vector, error: float) -> Vector:
-    return np.add(observation[3:6], [error, 0.0, 0.0])
+def _above(point: Vector, height: float) -> Vector:
+    return point + np.array([0.0, 0.0, height])
 
 
 def _command(way: Vector, gripper: float) -> Vector:

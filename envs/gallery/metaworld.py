@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .compatibility import patch_metaworld
+from . import packages
 
 __all__ = ["Scripted", "make", "seed"]
 
@@ -25,14 +25,12 @@ def make(task: str) -> Any:
     Raises:
         ValueError: If there is no such task.
     """
-    patch_metaworld()
-    from metaworld.env_dict import ALL_V3_ENVIRONMENTS_GOAL_OBSERVABLE as ENVIRONMENTS
-
+    tasks = packages.metaworld().env_dict.ALL_V3_ENVIRONMENTS_GOAL_OBSERVABLE
     name = f"{task}-v3-goal-observable"
-    if name not in ENVIRONMENTS:
-        known = ", ".join(sorted(n.removesuffix("-v3-goal-observable") for n in ENVIRONMENTS))
+    if name not in tasks:
+        known = ", ".join(sorted(n.removesuffix("-v3-goal-observable") for n in tasks))
         raise ValueError(f"task: expected one of {known}, got {task!r}")
-    env = ENVIRONMENTS[name](seed=0)
+    env = tasks[name](seed=0)
     env._freeze_rand_vec = False  # otherwise every episode has the same start
     env.seeded_rand_vec = True  # draw from the environment's generator, not from NumPy's
     return env
@@ -58,9 +56,8 @@ class Scripted:
         bias: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
         object_offset: Sequence[float] = (0.0, 0.0, 0.0),
     ) -> None:
-        from metaworld.policies import ENV_POLICY_MAP
-
-        self.policy = ENV_POLICY_MAP[f"{task}-v3"]()
+        policies = packages.metaworld().policies.ENV_POLICY_MAP
+        self.policy = policies[f"{task}-v3"]()
         self.bias, self.object_offset = np.array(bias), np.array(object_offset)
 
     def __call__(self, observation: NDArray[np.floating]) -> NDArray[np.float64]:

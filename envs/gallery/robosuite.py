@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-import logging
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .compatibility import patch_robosuite
+from . import packages
 
 __all__ = ["Lift", "make_lift", "seed", "solved"]
 
 Vector = NDArray[np.floating]
 OBSERVED = ["robot0_eef_pos", "robot0_eef_quat", "robot0_gripper_qpos", "cube_pos", "cube_quat"]
 
+ABOVE = np.array([0.0, 0.0, 0.05])
+"""Where the gripper waits, from the cube [m]."""
+
 
 def make_lift() -> Any:
     """Make the task with its shaped reward, one step every 50 ms, without an end of its own."""
-    import robosuite
-    from robosuite.wrappers import GymWrapper
-
-    logging.getLogger("robosuite_logs").setLevel(logging.ERROR)  # it announces what it loads
-    patch_robosuite()
+    robosuite = packages.robosuite()
     env = robosuite.make(
         "Lift",
         robots="Panda",
@@ -33,7 +32,7 @@ def make_lift() -> Any:
         hard_reset=False,
         ignore_done=True,
     )
-    return GymWrapper(env, keys=OBSERVED, flatten_obs=False)
+    return robosuite.wrappers.GymWrapper(env, keys=OBSERVED, flatten_obs=False)
 
 
 def seed(env: Any, number: int) -> None:
@@ -51,13 +50,13 @@ class Lift:
     """Goes above the cube, down, closes the gripper and lifts.
 
     Args:
-        error: By how much it misjudges where the cube is, along x and y [m].
+        object_offset: By how much it misjudges where the cube is (x, y, z) [m].
     """
 
     CLOSING_STEPS = 8
 
-    def __init__(self, error: float = 0.0) -> None:
-        self.error = error
+    def __init__(self, object_offset: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
+        self.object_offset = np.array(object_offset)
         self.reset()
 
     def reset(self) -> None:
@@ -71,10 +70,10 @@ class Lift:
             hand: Position of the gripper ``[3]`` [m].
             cube: Position of the cube ``[3]`` [m].
         """
-        way = np.add(cube, [self.error, self.error, 0.0]) - hand
+        way = cube + self.object_offset - hand
         aside = float(np.linalg.norm(way[:2]))
         if self.steps_closed == 0 and aside > 0.015:
-            return _command(np.add(way, [0.0, 0.0, 0.05]), -1.0)
+            return _command(way + ABOVE, -1.0)
         if self.steps_closed == 0 and abs(way[2]) > 0.01:
             return _command(way, -1.0)
         self.steps_closed += 1
