@@ -14,7 +14,7 @@ from torchrl.envs import EnvBase
 
 from rrl.controllers import ProportionalController, ZeroController
 from rrl.trainers import EnvironmentFactory, Input
-from rrl.trainers.settings import CheckpointSettings, EvaluationSettings
+from rrl.trainers.settings import AcceptanceSettings, CheckpointSettings, EvaluationSettings
 
 EPISODE = 20
 
@@ -253,7 +253,8 @@ def test_evaluation_leaves_no_trace_in_what_is_drawn_from_global_generators(make
     environment = of(Drawn)
     often = EvaluationSettings(every=30, episodes=3, final_episodes=2)
     never = EvaluationSettings(every=0, episodes=3, final_episodes=2)
-    runs = [run(make(f"{e.every}", environment, evaluation=e)) for e in (often, never)]
+    same = {"acceptance": AcceptanceSettings(enabled=False)}  # what is handed over is decided there
+    runs = [run(make(f"{e.every}", environment, evaluation=e, **same)) for e in (often, never)]
     assert_same_run(*runs)
 
 
