@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: train test test-slow test-ray lint docs controllers reproduce faults soak studies benchmark clean
+.PHONY: train test test-slow test-ray lint docs controllers reproduce faults soak studies benchmark latency clean
 
 train: $(VENV)/installed            ## train residual TD3 on the misaligned insertion task, five seeds side by side
 	$(BIN)/rrl train trainer.num_seeds=5
@@ -45,6 +45,9 @@ benchmark: $(VENV)/installed        ## training speed against Stable-Baselines3,
 	$(BIN)/pip install --disable-pip-version-check --quiet --constraint constraints.txt --editable ".[benchmark]"
 	$(BIN)/python -W ignore -m benchmarks.speed
 	$(BIN)/python -W ignore -m benchmarks.speed --runs 2
+
+latency: $(VENV)/installed          ## an exported policy beside the trainer's chain: latency, missed deadlines, memory, frozen episodes
+	$(BIN)/python -W ignore -m benchmarks.deploy
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)

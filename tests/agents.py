@@ -11,6 +11,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from rrl.algorithms import TD3, Agent, mlp
+from rrl.trainers.environment import EnvironmentFactory
 
 BATCH, OBSERVATION, ACTION = 16, 5, 2
 
@@ -67,3 +68,17 @@ def critics(loss: Any, params: str) -> Iterator[Any]:
                 return loss.qvalue_network(td)["state_action_value"].squeeze(-1)
 
         yield q
+
+
+def random_policy(factory: EnvironmentFactory, make_agent: Any, seed: int = 0) -> Any:
+    """A policy with weights that nobody has trained, but not the zeros of an untrained residual."""
+    env = factory.make(1)
+    torch.manual_seed(seed)
+    agent = make_agent(
+        inputs=factory.read_inputs(env), action_size=env.full_action_spec["action"].shape[-1]
+    )
+    env.close()
+    with torch.no_grad():
+        for parameter in agent.policy.parameters():
+            parameter.add_(0.1 * torch.randn_like(parameter))
+    return agent.policy

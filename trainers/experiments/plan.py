@@ -152,7 +152,7 @@ def _points_of(experiment: Experiment, settings: Settings, compose: Compose) -> 
             raise ValueError(
                 f"{experiment.name}: expected trainer.evaluation.every above 0 for curves, got 0"
             )
-        key, seeds = _key(config, used), tuple(range(scale.seeds))
+        key, seeds = _key(config, used), tuple(range(experiment.seeds or scale.seeds))
         return Point(experiment.name, arm, value, key, overrides, config, seeds, used, shown)
 
     sources: dict[str, Point] = {}

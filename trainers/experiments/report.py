@@ -32,7 +32,7 @@ def write_report(
     """Write the HTML file ``out``; the figures enter as SVG."""
     page = Page("Residual reinforcement learning for robot control: the experiments again")
     page.text(
-        f"Scale `{settings.scale}`: {settings.scales[settings.scale].seeds} seeds, each a run of "
+        f"Scale `{settings.scale}`: {_seeds(experiments, settings)} seeds, each a run of "
         "its own. Every number is from frozen episodes without exploration, the same for every "
         "seed and arm; the controller alone runs the same episodes. Means are over seeds with "
         "Student's t interval; intervals of success count seeds, not episodes, as independent; IQM "
@@ -67,6 +67,11 @@ def _experiment(page: Page, experiment: Experiment, finding: Finding, figure: Pa
         text = "; ".join(f"{entry} {overall_iqm(outcomes, entry)}" for entry in known)
         page.text(f"{arm}, all settings, IQM with bootstrap stratified by setting: {text}.")
     page.text(f"Again: `rrl reproduce {experiment.name}`.")
+
+
+def _seeds(experiments: Sequence[Experiment], settings: Settings) -> str:
+    usual = settings.scales[settings.scale].seeds
+    return " or ".join(map(str, sorted({e.seeds or usual for e in experiments})))
 
 
 def _failures(page: Page, ending: Ending) -> None:

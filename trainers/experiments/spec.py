@@ -53,6 +53,8 @@ class Experiment(_Section):
         title: What is shown.
         paper: Where the paper has it.
         figure: What is drawn: ``curves``, ``sweep``, ``table`` or ``spread``.
+        by_name: Whether it is left out where no experiment is named.
+        seeds: How many, instead of the scale's number.
         runs_of: Another experiment whose runs these are.
         overrides: Overrides of ``rrl train``, for every run.
         sources: Runs that others start from, by name: ``key=run:NAME`` in an arm becomes the
@@ -66,6 +68,8 @@ class Experiment(_Section):
     title: str
     paper: str
     figure: Literal["curves", "sweep", "table", "spread"]
+    by_name: bool = False
+    seeds: Positive | None = None
     runs_of: str | None = None
     overrides: Overrides = ()
     sources: dict[PlainName, Overrides] = {}
@@ -107,7 +111,7 @@ class Settings(_Section):
 
 
 def load_experiments(names: Sequence[str], folders: Sequence[Path]) -> list[Experiment]:
-    """Read experiments by name; none named: all.
+    """Read experiments by name; none named: all but those that have to be named.
 
     Args:
         names: Names of the files, without ``.yaml``.
@@ -123,6 +127,7 @@ def load_experiments(names: Sequence[str], folders: Sequence[Path]) -> list[Expe
         choices = ", ".join(sorted(known))
         raise ValueError(f"experiment: expected one of {choices}, got {', '.join(unknown)}")
     found = {name: _read(name, known[name]) for name in dict.fromkeys(names or known)}
+    found = {name: e for name, e in found.items() if names or not e.by_name}
     for experiment in list(found.values()):
         if experiment.runs_of and experiment.runs_of not in known:
             choices = ", ".join(sorted(known))

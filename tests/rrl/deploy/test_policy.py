@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from driving import random_policy
 
+from agents import random_policy
 from rrl.algorithms import TD3, mlp
 from rrl.controllers import PIDController
 from rrl.deploy import Policy, read_contract

@@ -7,10 +7,12 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import wandb_file
+from rrl.deploy import Policy
 
 SMALL = [
     "trainer.total_steps=100",
@@ -135,6 +137,25 @@ def test_evaluate_repeats_the_final_evaluation(trained):
     result = rrl("evaluate", f"run={run_dir}", cwd=run_dir.parent)
     assert result.returncode == 0, result.stderr
     assert (run_dir / "results.json").read_text() == before
+
+
+def test_export_leaves_what_a_robot_needs(trained):
+    run_dir, _ = trained
+    result = rrl("export", f"run={run_dir}", cwd=run_dir.parent)
+    assert result.returncode == 0, result.stderr
+    assert "at 20 Hz" in result.stdout
+    assert "left out, because a robot has its own: " in result.stdout
+    policy = Policy(run_dir / "export", rate=20.0)
+    entries = {e.name: np.zeros(e.shape) for e in policy.contract.entries}
+    assert policy.act(entries).shape == (3,)
+    content = policy.contract.content
+    assert content["trained"]["checkpoint"] == "checkpoint-000000000100"
+    assert content["trained"]["seed"] == 0
+    assert content["trained"]["versions"]["rrl"] == version("rrl")
+    results = json.loads((run_dir / "results.json").read_text())
+    assert content["results"].keys() == results.keys() == {"misaligned", "aligned"}
+    for scenario, summary in content["results"].items():
+        assert summary["success"] == results[scenario]["summary"]["success"]
 
 
 def test_resume_continues_to_the_new_end(trained):

@@ -8,11 +8,12 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from driving import random_policy, trainers_episode
 from tensordict.nn import TensorDictModule
 from torchrl.envs import GymEnv
 from torchrl.envs.transforms import Transform
 
+from agents import random_policy
+from benchmarks.deploy.episodes import trainers_episode
 from rrl.algorithms import TD3, mlp
 from rrl.controllers import Controller, ProportionalController, StatefulController
 from rrl.deploy import Policy, read_contract

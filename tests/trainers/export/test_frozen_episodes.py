@@ -8,12 +8,13 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from driving import exported_episode, random_policy, trainers_episode
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 from tensordict.nn import TensorDictModule
 from torchrl.envs import DMControlEnv, GymEnv
 
+from agents import random_policy
+from benchmarks.deploy.episodes import exported_episode, trainers_episode
 from rrl.algorithms import TD3, mlp
 from rrl.controllers import (
     Controller,

@@ -70,6 +70,7 @@ def entries_of(exported: Policy, td: Any) -> dict[str, np.ndarray]:
 
 
 def played(env: EnvBase, act: Any, seed: int, max_steps: int) -> bool:
+    """Play an episode and return whether it was solved."""
     with isolated_generators(seed):
         *_, (td, _) = rollout(env, act, seed, max_steps)
     env.close()
@@ -87,17 +88,3 @@ def commands_of(base: EnvBase) -> Iterator[list[np.ndarray]]:
 
     object.__setattr__(base, "_step", step)
     yield commands
-
-
-def random_policy(factory: EnvironmentFactory, make_agent: Any, seed: int = 0) -> Any:
-    """A policy with weights that nobody has trained, but not the zeros of an untrained residual."""
-    env = factory.make(1)
-    torch.manual_seed(seed)
-    agent = make_agent(
-        inputs=factory.read_inputs(env), action_size=env.full_action_spec[ACTION].shape[-1]
-    )
-    env.close()
-    with torch.no_grad():
-        for parameter in agent.policy.parameters():
-            parameter.add_(0.1 * torch.randn_like(parameter))
-    return agent.policy
