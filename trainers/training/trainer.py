@@ -80,7 +80,6 @@ class Trainer:
         self.stopwatch, self.profile = Stopwatch(), Profile()
         configure_torch(settings)
         self.run_dir.mkdir(parents=True, exist_ok=True)
-
         collect = InBackground if settings.overlap else InTurn
         explore = exploration or default_exploration()
         self.collection: Collection = collect(settings, environment, explore)
@@ -280,16 +279,14 @@ class Trainer:
         return ends or self._due(self.settings.evaluation.every)
 
     def _evaluate(self) -> None:
-        episodes = self.settings.evaluation.episodes
-        followed = self.evaluator.followed
+        followed, episodes = self.evaluator.followed, self.settings.evaluation.episodes
         latest = self.evaluator.compare(self.agent.policy, followed, Stream.FOLLOWING, episodes)
         comparison, tested = self.acceptance.consider(latest, self.env_steps)
         self.progress.show(comparison, self.env_steps)
         self._log(metrics.evaluation(metrics.EVALUATION, followed, comparison.summary()) | tested)
 
     def _evaluate_all(self) -> dict[str, Comparison]:
-        results = {}
-        episodes = self.settings.evaluation.final_episodes
+        results, episodes = {}, self.settings.evaluation.final_episodes
         for scenario in self.progress.track(self.evaluator.scenarios, "evaluating"):
             self._stop_if_asked()
             results[scenario] = self.acceptance.handed_over.compare(

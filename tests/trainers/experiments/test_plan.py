@@ -164,3 +164,12 @@ def test_every_experiment_is_made_of_valid_runs(scale, source):
             overrides = [o.replace("run:sim-policy", f"'{source}'") for o in point.overrides]
             config = compose_config(overrides)
         assert not checks.problems(config), point.name
+
+
+def test_an_experiment_that_has_to_be_named_is_left_out_otherwise_and_sets_its_own_seeds(
+    points, folders
+):
+    apart = {**EXPERIMENT, "overrides": ["env.base.drift=0.09"], "by_name": True, "seeds": 4}
+    write(folders[0] / "experiment/apart.yaml", apart)
+    assert {p.experiment for p in points()} == {"drift"}
+    assert {p.seeds for p in points("apart")} == {(0, 1, 2, 3)}
