@@ -93,7 +93,7 @@ def plan_points(
 
 
 def plan_jobs(points: Sequence[Point], out: Path) -> list[Job]:
-    """Return the runs that ``points`` need, sources first.
+    """Return the runs that ``points`` need: sources first, and every point's first seed first.
 
     What starts from a source starts with seed k from the source's seed k. So nothing is chosen, the
     runs of an arm stay independent, and their spread holds that of the policies they start from.
@@ -108,7 +108,7 @@ def plan_jobs(points: Sequence[Point], out: Path) -> list[Job]:
             }
             config = _with_sources(one_seed(point.config, seed), needs)
             jobs.setdefault(path, Job(path, config, tuple(needs.values())))
-    return list(jobs.values())
+    return sorted(jobs.values(), key=lambda job: job.config["trainer"]["seed"])
 
 
 def run_directory(point: Point, seed: int, out: Path) -> Path:
