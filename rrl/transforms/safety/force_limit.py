@@ -12,6 +12,7 @@ from rrl.checks import check, check_length, per_dimension, require
 from rrl.keys import ACTION
 from rrl.transforms.base import ActionLimits
 from rrl.transforms.safety.base import SafetyLimit
+from rrl.transforms.safety.sums import dot, norm
 
 __all__ = ["ForceLimit"]
 
@@ -103,7 +104,7 @@ class ForceLimit(SafetyLimit):
         """Change the part of the motion along the force, then shorten the displacement."""
         if self.in_keys:
             action = self._yield_to(measured, action)
-        reach = torch.linalg.vector_norm(self._force_of(action), dim=-1, keepdim=True)
+        reach = norm(self._force_of(action))
         return torch.where(reach > self.maximum, action * (self.maximum / reach), action)
 
     def _force_of(self, action: Tensor) -> Tensor:
@@ -111,9 +112,9 @@ class ForceLimit(SafetyLimit):
         return action * (self.stiffness * self.unit).to(action)
 
     def _yield_to(self, force: Tensor, action: Tensor) -> Tensor:
-        size = torch.linalg.vector_norm(force, dim=-1, keepdim=True)
+        size = norm(force)
         normal = force / size.clamp_min(torch.finfo(size.dtype).tiny)
-        along = (action[..., self.axes] * normal).sum(-1, keepdim=True)
+        along = dot(action[..., self.axes], normal)
         wanted = torch.where(along < 0, along * self._share(size), along)
         if self.retract:
             wanted = torch.where(size > self.maximum, wanted.clamp_min(self.retract), wanted)

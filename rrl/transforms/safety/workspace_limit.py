@@ -12,6 +12,7 @@ from rrl.checks import check_length, check_whole, per_dimension, require
 from rrl.keys import ACTION
 from rrl.transforms.base import ActionLimits, Mask, Memory
 from rrl.transforms.safety.base import SafetyLimit
+from rrl.transforms.safety.sums import total
 
 __all__ = ["WorkspaceLimit"]
 
@@ -86,7 +87,8 @@ class WorkspaceLimit(SafetyLimit):
         """Clip the displacement to what leads to the box's faces."""
         low, high, unit = self.low.to(measured), self.high.to(measured), self.unit.to(measured)
         since = unit * self.recall(_SINCE)  # (*batch, delay, n)
-        least, most = measured + since.clamp_max(0).sum(-2), measured + since.clamp_min(0).sum(-2)
+        least = measured + total(since.clamp_max(0), -2)
+        most = measured + total(since.clamp_min(0), -2)
         return torch.clamp(action, (low - least) / unit, (high - most) / unit)
 
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:

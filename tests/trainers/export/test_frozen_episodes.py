@@ -129,9 +129,17 @@ def test_the_default_task_with_its_history_mirrors_and_sensing_faults(tmp_path):
     assert_same_episodes(factory, policy, onnx, archive)
 
 
-@pytest.mark.parametrize("limits", ["none", "all"])
+YIELDING = ["safety.force.onset=5", "safety.force.retract=0.1", "safety.workspace.delay=2"]
+LIMITED = {
+    "none": ["env=insertion-real", "safety=none"],
+    "all": ["env=insertion-real", "safety=all"],
+    "force measured": ["env=insertion-sim", "safety=all", *WRENCH, *YIELDING],
+}
+
+
+@pytest.mark.parametrize("limits", LIMITED)
 def test_a_scale_of_zero_is_the_controller_to_the_bit(limits, tmp_path):
-    configured = config("env=insertion-real", f"safety={limits}", "residual_scale=0.0")
+    configured = config(*LIMITED[limits], "residual_scale=0.0")
     factory = replace(assembly.environment(configured), controller=pid)
     policy = random_policy(factory, assembly.agent(configured))
     for graph in exported(factory, policy, tmp_path / "export", 20):
