@@ -16,6 +16,7 @@ from .insertion.composer_env import NAMES, load
 from .insertion.composer_task import InsertionTask
 from .insertion.config import InsertionConfig, make_config
 from .insertion.render import render_composer, render_states
+from .pictures import mujoco_state, render_mujoco
 
 __all__ = [
     "NAMES",
@@ -27,6 +28,8 @@ __all__ = [
     "gymnasium_env",
     "load",
     "make_config",
+    "mujoco_state",
     "render_composer",
+    "render_mujoco",
     "render_states",
 ]

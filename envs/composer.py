@@ -7,10 +7,13 @@ from typing import Any
 import numpy as np
 import torch
 from dm_control import composer
+from numpy.typing import NDArray
 from torchrl.data import Binary, Composite, TensorSpec
 from torchrl.envs import DMControlWrapper
 
 from rrl.keys import METRICS, REWARD_TERMS
+
+from .pictures import mujoco_state
 
 __all__ = ["ComposerEnv"]
 
@@ -40,6 +43,10 @@ class ComposerEnv(DMControlWrapper):
         super().__init__(env=env)
         if seed is not None:
             self.set_seed(seed)
+
+    def physics_state(self) -> NDArray[np.float64]:
+        """Return the physics state, for :func:`~rrl.envs.render_mujoco`."""
+        return mujoco_state(self)
 
     def _check_kwargs(self, kwargs: dict[str, Any]) -> None:
         env = kwargs.get("env")

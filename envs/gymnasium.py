@@ -13,6 +13,8 @@ from torchrl.envs.gym_like import BaseInfoDictReader
 
 from rrl.keys import SUCCESS
 
+from .pictures import mujoco_state
+
 __all__ = ["gymnasium_env"]
 
 Success = str | Callable[[Any], Any]
@@ -24,6 +26,7 @@ def gymnasium_env(
     success: Success | None = None,
     any_time: bool = False,
     seed: Callable[[Any, int], Any] | None = None,
+    state: Callable[[Any], Any] | None = None,
     max_episode_steps: int | None = None,
     **arguments: Any,
 ) -> GymWrapper:
@@ -41,6 +44,8 @@ def gymnasium_env(
             states was. Otherwise the last one decides.
         seed: Seeds the environment, called as ``seed(env, number)`` before a reset with a seed; for
             one whose ``reset`` ignores its seed.
+        state: What a video's renderer needs of this moment, an array: a function of the environment
+            behind ``physics_state()``. None: MuJoCo's, for :func:`~rrl.envs.render_mujoco`.
         max_episode_steps: Truncates episodes after so many steps.
         arguments: Of ``gymnasium.make`` or of ``make``.
 
@@ -55,7 +60,7 @@ def gymnasium_env(
         raise ImportError("a Gymnasium environment needs: pip install gymnasium") from error
 
     class Reporting(gymnasium.Wrapper):
-        """Seeds the environment and writes ``success`` into every ``info``."""
+        """Seeds, writes ``success`` into every ``info``, tells the state for videos."""
 
         def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, Any]:
             if seed is None or seed_env is None:
@@ -72,6 +77,9 @@ def gymnasium_env(
                 solved = _is_solved(success, env, info)
                 self.solved = solved or (any_time and self.solved)
             return (*outcome, {**info, SUCCESS: self.solved})
+
+        def physics_state(self) -> Any:
+            return (state or mujoco_state)(env)
 
     seed_env = seed
     if isinstance(make, str):

@@ -3,19 +3,41 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 from scipy.linalg import solve_discrete_are
 
 from . import packages
 
-__all__ = ["DoublePendulumLQR", "LanderHeuristic"]
+__all__ = ["DoublePendulumLQR", "LanderHeuristic", "lander_poses", "render_lander"]
 
 Vector = NDArray[np.floating]
+
+
+def lander_poses(env: Any) -> Vector:
+    """Return where the lander and its legs are ``[3, 3]``: x, y and angle in Box2D's units."""
+    lander = env.unwrapped
+    bodies = (lander.lander, *lander.legs)
+    return np.array([(*body.position, body.angle) for body in bodies])
+
+
+def render_lander(
+    env: Any, poses: Iterable[Vector], width: int = 640, height: int = 480
+) -> NDArray[np.uint8]:
+    """Return frames ``[T, height, width, 3]`` of what :func:`lander_poses` gave."""
+    lander, frames = env.unwrapped, []
+    lander.render_mode, lander.particles = "rgb_array", []
+    for pose in poses:
+        for body, (x, y, angle) in zip((lander.lander, *lander.legs), pose, strict=True):
+            body.position, body.angle = (x, y), angle
+        frames.append(Image.fromarray(lander.render()).resize((width, height)))
+    return np.stack([np.asarray(frame) for frame in frames])
 
 
 class LanderHeuristic:

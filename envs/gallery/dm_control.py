@@ -7,15 +7,25 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from torchrl.envs import DMControlEnv
 
 from ..composer import ComposerEnv
+from ..pictures import mujoco_state
 
-__all__ = ["CartPole", "JacoReach", "make_jaco"]
+__all__ = ["CartPole", "JacoReach", "Suite", "make_jaco"]
 
 Vector = NDArray[np.floating]
 REACH = "reach_site_features"
 DAMPING = 0.1
 """Of the least-squares inverse, in units of the Jacobian [m/rad]."""
+
+
+class Suite(DMControlEnv):
+    """A task of dm_control's suite that can be filmed."""
+
+    def physics_state(self) -> Vector:
+        """Return the physics state, for :func:`rrl.envs.render_mujoco`."""
+        return mujoco_state(self)
 
 
 class CartPole:

@@ -44,7 +44,10 @@ def render(config: assembly.Config, run_dir: Path, console: Output) -> None:
 
 
 def film_run(config: assembly.Config, run: Path, out: Path, console: Output) -> list[Path]:
-    """Evaluate a run and film an episode of it into the directory ``out``."""
+    """Film an episode of a run into ``out``; the run is evaluated if that has to be chosen."""
+    if isinstance(config["render"]["episode"], int):
+        _, handed_over = _load(config, run, console)
+        return film(config, handed_over, {}, out, console)
     results, handed_over = _evaluate(config, run, console)
     return film(config, handed_over, results, out, console)
 
@@ -52,23 +55,29 @@ def film_run(config: assembly.Config, run: Path, out: Path, console: Output) -> 
 def _evaluate(
     config: assembly.Config, run_dir: Path, console: Output
 ) -> tuple[Comparisons, RunPolicy]:
-    config = {**config, "trainer": {**config["trainer"], "num_seeds": 1}}
-    assembly.check(config)
     settings = assembly.settings(config)
-    trained = trained_run(config, run_dir)
-    console.say(f"loaded {trained.checkpoint}")
+    env_steps, handed_over = _load(config, run_dir, console)
     evaluator = Evaluator(assembly.scenarios(config), settings.evaluation)
     results = {}
     for scenario in Progress(console).track(evaluator.scenarios, "evaluating"):
-        results[scenario] = trained.handed_over.compare(
+        results[scenario] = handed_over.compare(
             evaluator,
-            trained.env_steps,
+            env_steps,
             scenario,
             Stream.FINAL,
             settings.evaluation.final_episodes,
         )
     evaluator.close()
-    return results, trained.handed_over
+    return results, handed_over
+
+
+def _load(config: assembly.Config, run_dir: Path, console: Output) -> tuple[int, RunPolicy]:
+    """Return what a run hands over, and the environment steps of the checkpoint that has it."""
+    config = {**config, "trainer": {**config["trainer"], "num_seeds": 1}}
+    assembly.check(config)
+    trained = trained_run(config, run_dir)
+    console.say(f"loaded {trained.checkpoint}")
+    return trained.env_steps, trained.handed_over
 
 
 def film(
@@ -78,20 +87,26 @@ def film(
     run_dir: Path,
     console: Output,
 ) -> list[Path]:
-    """Film an episode of what is handed over; the list is empty where nothing can be rendered."""
+    """Film an episode of what is handed over; the list is empty where nothing can be rendered.
+
+    ``results`` are needed only to choose the episode, not where it has a number.
+    """
     settings, render = assembly.settings(config), config["render"]
-    node, scenario = config["env"].get("renderer"), render["scenario"] or next(iter(results))
+    scenarios = assembly.scenarios(config)
+    node, scenario = config["env"].get("renderer"), render["scenario"] or next(iter(scenarios))
     if not node:
         return []
-    if scenario not in results:
-        raise ValueError(f"render.scenario: expected one of {sorted(results)}, got {scenario!r}")
+    if scenario not in scenarios:
+        raise ValueError(f"render.scenario: expected one of {sorted(scenarios)}, got {scenario!r}")
     if handed_over.tested and not handed_over.env_steps:
         console.say("the run hands over the controller: both halves of the video show it")
-    episode = choose_episode(results[scenario].handed_over, render["episode"])
+    rescued = results[scenario].handed_over.rescues.tolist() if scenario in results else []
+    count = settings.evaluation.final_episodes
+    episode = choose_episode(render["episode"], count, rescued)
     out = run_dir / VIDEOS / f"{scenario}_episode_{episode}.{render['format']}"
     try:
         film = render_comparison(
-            assembly.scenarios(config)[scenario],
+            scenarios[scenario],
             handed_over.policy,
             assembly.build(node),
             first_seed(Stream.FINAL, settings.evaluation.seed) + episode,

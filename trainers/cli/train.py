@@ -80,7 +80,7 @@ def _train(config: assembly.Config, trainer: Trainer, console: Output) -> None:
     if trainer.env_steps < trainer.settings.total_steps:
         (run_dir / RESULTS).unlink(missing_ok=True)  # it marks a finished run
     write_atomically(run_dir / CONFIG_FILE, yaml.safe_dump(dict(config), sort_keys=False))
-    write_versions(run_dir)
+    write_versions(run_dir, config["env"].get("packages") or ())
     results = trainer.run()
     if trainer.settings.profile:
         console.print(trainer.profile.table())

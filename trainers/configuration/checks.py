@@ -17,6 +17,7 @@ from rrl.keys import BASE_ACTION, PREVIOUS_ACTION
 from ..environment import Batching, EnvironmentFactory, Input, Metric
 from ..settings import Positive, TrainerSettings
 from ..storage.run_files import CONFIG_FILE, seed_directories
+from ..storage.versions import missing
 from ..training.learner import build, locate
 
 Config = Mapping[str, Any]
@@ -59,6 +60,7 @@ class _Env(_Section):
     units: dict[str, str] | None = None
     sensing: Targets = None
     renderer: Target | None = None
+    packages: list[str] | None = None
 
 
 class _Algorithm(_Section):
@@ -98,6 +100,8 @@ def problems(config: Config) -> list[str]:
         return explain(error)
     built: dict[str, Any] = {}
     found = [*_check_targets(config, built), *_check_render(config), *_check_init_from(config)]
+    packages = config["env"].get("packages") or ()
+    found += [f"env.packages: expected installed packages, got {n!r}" for n in missing(packages)]
     return found or list(_check_entries(config, built))
 
 

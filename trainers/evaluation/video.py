@@ -13,10 +13,9 @@ from matplotlib.font_manager import findfont
 from PIL import Image, ImageDraw, ImageFont
 from tensordict.nn import TensorDictModuleBase
 
-from rrl.keys import SUCCESS
+from rrl.keys import REWARD, SUCCESS
 
 from ..environment import EnvironmentFactory
-from .episodes import Comparison
 from .rollout import isolated_generators, rollout, zero_residual
 
 __all__ = ["Renderer", "choose_episode", "record", "render_comparison"]
@@ -24,25 +23,27 @@ __all__ = ["Renderer", "choose_episode", "record", "render_comparison"]
 Renderer = Callable[..., np.ndarray]
 """``renderer(base_env, states, width=..., height=...)`` gives uint8 frames ``[T, h, w, 3]``."""
 
-PASS, FAIL = (46, 125, 50), (183, 28, 28)
+Outcome = bool | float
+"""Whether a state is a success, or the return so far."""
+COLORS = {"solved": (46, 125, 50), "failed": (183, 28, 28)}
+NEUTRAL = (70, 70, 70)
 HOLD_SECONDS = 1.0
 """How long the last frame stays."""
 
 
-def choose_episode(comparison: Comparison, wanted: str | int) -> int:
+def choose_episode(wanted: str | int, count: int, rescued: Sequence[int]) -> int:
     """Return the number of the episode to show.
 
     Args:
-        comparison: The episodes to choose from.
-        wanted: ``"rescue"``, the first one that the controller fails and the residual solves
-            (episode 0 if there is none), or a number.
+        wanted: ``"rescue"``, the first of ``rescued`` (episode 0 if there is none), or a number.
+        count: How many episodes there are to choose from.
+        rescued: Episodes that the controller fails and the residual solves.
 
     Raises:
         ValueError: If ``wanted`` is anything else.
     """
     if wanted == "rescue":
-        return int(comparison.rescues[0]) if len(comparison.rescues) else 0
-    count = len(comparison.residual.returns)
+        return int(rescued[0]) if len(rescued) else 0
     if not isinstance(wanted, int) or not 0 <= wanted < count:
         raise ValueError(
             f"render.episode: expected 'rescue' or a number below {count}, got {wanted!r}"
@@ -76,11 +77,11 @@ def render_comparison(
     for title, run_policy in (("controller alone", None), ("controller + residual", policy)):
         env = environment.make(1)
         chosen = run_policy or zero_residual(env)
-        states, solved = record(env, chosen, seed, environment.max_episode_steps)
+        states, outcomes = record(env, chosen, seed, environment.max_episode_steps)
         size = {"width": settings["width"], "height": settings["height"]}
         with isolated_generators(seed):
             frames = renderer(env.base_env, states, **size)
-        halves.append(_label(frames, title, solved))
+        halves.append(_label(frames, title, outcomes))
         env.close()
     frames = _side_by_side(halves)
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -92,17 +93,24 @@ def render_comparison(
 
 def record(
     env: Any, policy: TensorDictModuleBase, seed: int, max_steps: int
-) -> tuple[list[np.ndarray], list[bool]]:
-    """Play one episode; return the physics states ``[T + 1]`` and whether each was a success."""
-    states, solved = [], []
+) -> tuple[list[np.ndarray], list[Outcome]]:
+    """Play one episode; return the physics states and outcomes ``[T + 1]``.
+
+    An outcome is whether the state is a success, or the return so far where no success is reported.
+    """
+    states: list[np.ndarray] = []
+    outcomes: list[Outcome] = []
+    total = 0.0
     with isolated_generators(seed):
         for td, _ in rollout(env, policy, seed, max_steps):
             states.append(np.array(env.base_env.physics_state()))
-            solved.append(bool(td.get(SUCCESS, torch.zeros(1)).any()))
-    return states, solved
+            total += float(td.get(REWARD, torch.zeros(1)).sum())
+            solved = td.get(SUCCESS, None)
+            outcomes.append(total if solved is None else bool(solved.any()))
+    return states, outcomes
 
 
-def _label(frames: np.ndarray, title: str, solved: Sequence[bool]) -> np.ndarray:
+def _label(frames: np.ndarray, title: str, outcomes: Sequence[Outcome]) -> np.ndarray:
     """Write the title into every frame, and the outcome once it is known."""
     height = frames.shape[1]
     font = ImageFont.truetype(findfont("DejaVu Sans"), max(12, height // 22))
@@ -113,9 +121,8 @@ def _label(frames: np.ndarray, title: str, solved: Sequence[bool]) -> np.ndarray
         draw = ImageDraw.Draw(image, "RGBA")
         draw.rectangle((0, 0, image.width, bar), fill=(20, 20, 20, 190))
         draw.text((bar / 3, bar / 2), title, font=font, fill="white", anchor="lm")
-        ended = i == len(frames) - 1
-        if solved[i] or ended:
-            text, color = ("solved", PASS) if solved[i] else ("failed", FAIL)
+        if text := _outcome_text(outcomes[i], i == len(frames) - 1):
+            color = COLORS.get(text, NEUTRAL)
             width = draw.textlength(text, font=font) + bar / 1.5
             draw.rectangle((image.width - width, 0, image.width, bar), fill=color)
             draw.text(
@@ -123,6 +130,13 @@ def _label(frames: np.ndarray, title: str, solved: Sequence[bool]) -> np.ndarray
             )
         labelled.append(np.asarray(image))
     return np.stack(labelled)
+
+
+def _outcome_text(outcome: Outcome, ended: bool) -> str:
+    """Say what is known of the episode by now."""
+    if not isinstance(outcome, bool):
+        return f"return {outcome:.1f}"
+    return "solved" if outcome else "failed" if ended else ""
 
 
 def _side_by_side(halves: Sequence[np.ndarray]) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..evaluation.statistics import mean_interval
-from ..report.learning_curve import CONTROLLER_COLOR, RESIDUAL_COLOR
+from ..report.learning_curve import ACCEPTED_COLOR, CONTROLLER_COLOR, RESIDUAL_COLOR
 from .outcomes import Finding, Outcome
 from .spec import Experiment
 from .spread import variances
@@ -25,6 +26,7 @@ COLORS = (
 )
 """Distinct for the color-blind (Okabe and Ito), and from the controller's."""
 MARKERS = "osD^vPX*"
+TASK_COLUMNS = 3
 INTERVAL = "mean and 95 % confidence interval over seeds"
 PANELS = (("success", "success rate [%]", 100.0), ("return", "return of an episode", 1.0))
 
@@ -32,6 +34,7 @@ PANELS = (("success", "success rate [%]", 100.0), ("return", "return of an episo
 def draw(experiment: Experiment, finding: Finding, folder: Path) -> Path:
     """Draw an experiment's figure; return the PNG, with the SVG beside it."""
     kinds = {"curves": _curves, "sweep": _sweep, "spread": _spread, "table": _table}
+    kinds["tasks"] = _tasks
     figure = kinds[experiment.figure](experiment, finding)
     folder.mkdir(parents=True, exist_ok=True)
     out = folder / f"{experiment.name}.png"
@@ -44,8 +47,9 @@ def _curves(experiment: Experiment, finding: Finding) -> Figure:
     figure, axes = _panels(experiment, finding)
     for axis, (entry, _, unit) in zip(axes, PANELS, strict=False):
         for i, outcome in enumerate(finding.outcomes):
-            label = _label(experiment, outcome)
-            _band(axis, outcome, entry, unit, COLORS[i % len(COLORS)], label)
+            if outcome.follows(entry):
+                label = _label(experiment, outcome)
+                _band(axis, outcome, entry, unit, COLORS[i % len(COLORS)], label)
         _controllers(axis, finding, entry, unit)
         axis.set_xlabel("environment steps of one seed")
     _finish(figure, axes, experiment, finding)
@@ -54,9 +58,10 @@ def _curves(experiment: Experiment, finding: Finding) -> Figure:
 
 def _controllers(axis: Axes, finding: Finding, entry: str, unit: float) -> None:
     """Draw the controllers alone, dashed: several in the colors of what learns on top of them."""
-    having = [i for i, outcome in enumerate(finding.outcomes) if not outcome.acts_alone]
+    level = f"controller_{entry}"
+    having = [i for i, o in enumerate(finding.outcomes) if not o.acts_alone and o.follows(level)]
     for n, i in enumerate(having):
-        curve = finding.outcomes[i].curve(f"controller_{entry}")
+        curve = finding.outcomes[i].curve(level)
         color = CONTROLLER_COLOR if len(having) == 1 else COLORS[i % len(COLORS)]
         label = "controller alone" if len(having) == 1 else "the controller below it alone"
         shown = label if n == 0 else None
@@ -121,12 +126,51 @@ def _table(experiment: Experiment, finding: Finding) -> Figure:
     text = (
         f"{len(first.runs)} seeds, the same {first.episodes} episodes for each and the controller"
     )
-    figure.suptitle(f"{experiment.title} ({experiment.paper})\n{text}", fontsize=10)
+    figure.suptitle(f"{experiment.heading}\n{text}", fontsize=10)
     return figure
 
 
+def _tasks(experiment: Experiment, finding: Finding) -> Figure:
+    """Draw one small panel for every arm: its success, or its return where none is reported."""
+    count = len(finding.outcomes)
+    columns = min(TASK_COLUMNS, count)
+    rows = -(-count // columns)
+    figure = Figure(figsize=(3.4 * columns, 2.4 * rows + 0.9), layout="constrained")
+    axes = list(figure.subplots(rows, columns, squeeze=False).ravel())
+    for axis, outcome in zip(axes, finding.outcomes, strict=False):
+        entry, label, unit = next(panel for panel in PANELS if outcome.knows(panel[0]))
+        _band(axis, outcome, entry, unit, RESIDUAL_COLOR, "latest policy")
+        _level(axis, outcome, f"controller_{entry}", unit, "--", CONTROLLER_COLOR, "controller")
+        if outcome.follows(f"accepted_{entry}"):
+            _level(axis, outcome, f"accepted_{entry}", unit, ":", ACCEPTED_COLOR, "handed over")
+        axis.set_title(textwrap.fill(outcome.point.arm, 38), fontsize=9)
+        axis.set_ylabel(label, fontsize=8)
+        axis.tick_params(labelsize=8)
+        axis.set_ylim(*((-3, 103) if entry == "success" else _view(axis)))
+    for axis in axes[count:]:
+        axis.axis("off")
+    for axis in axes[count - columns : count]:
+        axis.set_xlabel("environment steps of one seed", fontsize=8)
+    _finish(figure, axes, experiment, finding)
+    return figure
+
+
+def _view(axis: Axes) -> tuple[float, float]:
+    """Return limits that hold all lines, but not all of a band that few runs leave wide."""
+    lines = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in axis.get_lines()])
+    room = 0.25 * float(np.ptp(lines)) or 0.1 * abs(float(lines[0])) or 1.0
+    return float(lines.min()) - room, float(lines.max()) + room
+
+
+def _level(
+    axis: Axes, outcome: Outcome, entry: str, unit: float, style: str, color: str, label: str
+) -> None:
+    curve = outcome.curve(entry)
+    axis.plot(curve.steps, unit * curve.mean, style, color=color, lw=1.8, label=label)
+
+
 def _panels(experiment: Experiment, finding: Finding) -> tuple[Figure, list[Axes]]:
-    known = [panel for panel in PANELS if finding.outcomes[0].knows(panel[0])]
+    known = [p for p in PANELS if any(outcome.knows(p[0]) for outcome in finding.outcomes)]
     figure = Figure(figsize=(5.6 * len(known), 4.2), layout="constrained")
     axes = list(np.atleast_1d(figure.subplots(1, len(known))))
     for axis, (entry, label, _) in zip(axes, known, strict=True):
@@ -145,7 +189,7 @@ def _finish(figure: Figure, axes: Sequence[Axes], experiment: Experiment, findin
     figure.legend(handles, labels, ncols=min(3, len(labels)), **look)
     counts = sorted({len(outcome.runs) for outcome in finding.outcomes})
     seeds = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
-    title = f"{experiment.title} ({experiment.paper})\n{seeds} seeds, {INTERVAL}"
+    title = f"{experiment.heading}\n{seeds} seeds, {INTERVAL}"
     figure.suptitle(title, fontsize=10)
 
 

@@ -95,6 +95,11 @@ class Outcome:
         """Return whether the final evaluation has that entry."""
         return all(entry in run.summary() for run in self.runs)
 
+    def follows(self, entry: str) -> bool:
+        """Return whether the evaluations during training have that entry."""
+        name = metrics.name(metrics.EVALUATION, self.followed, entry)
+        return all(name in run.record for run in self.runs)
+
     def curve(self, entry: str) -> Curve:
         """Return an entry of the followed scenario's evaluations, over environment steps."""
         name = metrics.name(metrics.EVALUATION, self.followed, entry)

@@ -148,7 +148,8 @@ def _points_of(experiment: Experiment, settings: Settings, compose: Compose) -> 
                 f"{experiment.name}: expected sources of {sorted(sources)}, got {unknown[0]!r}"
             )
         config, used = compose(overrides), {name: sources[name] for name in names}
-        if shown and experiment.figure == "curves" and not config["trainer"]["evaluation"]["every"]:
+        followed = shown and experiment.figure in ("curves", "tasks")
+        if followed and not config["trainer"]["evaluation"]["every"]:
             raise ValueError(
                 f"{experiment.name}: expected trainer.evaluation.every above 0 for curves, got 0"
             )

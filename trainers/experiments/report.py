@@ -14,6 +14,7 @@ from .claims import Verdict, criterion
 from .outcomes import Finding, Findings
 from .plan import command
 from .spec import Experiment, Settings
+from .standing import HEADER, standing_row
 from .tables import final_rows, overall_iqm, success_rows
 
 __all__ = ["write_report"]
@@ -25,11 +26,24 @@ def write_report(
     figures: Mapping[str, Path],
     verdicts: Sequence[Verdict],
     video: Path | None,
+    clips: Mapping[str, Sequence[tuple[Path, str]]],
     settings: Settings,
     ending: Ending,
     out: Path,
 ) -> Path:
-    """Write the HTML file ``out``; the figures enter as SVG."""
+    """Write the HTML file ``out``; the figures enter as SVG.
+
+    Args:
+        experiments: What is shown, in this order.
+        findings: Their numbers.
+        figures: Their PNG files, each with an SVG beside it.
+        verdicts: On the paper's claims.
+        video: Of one rescued episode.
+        clips: By experiment, videos of its tasks and what they show.
+        settings: Of the command.
+        ending: What became of the runs.
+        out: The file.
+    """
     page = Page("Residual reinforcement learning for robot control: the experiments again")
     page.text(
         f"Scale `{settings.scale}`: {_seeds(experiments, settings)} seeds, each a run of "
@@ -38,15 +52,17 @@ def write_report(
         "Student's t interval; intervals of success count seeds, not episodes, as independent; IQM "
         "is the interquartile mean with a stratified bootstrap."
     )
-    page.section("The paper's claims")
-    rows = [[v.claim, v.word, v.numbers, criterion(v.claim)] for v in verdicts]
-    page.table(["claim", "verdict", "numbers", "criterion"], rows)
+    if verdicts:
+        page.section("The paper's claims")
+        rows = [[v.claim, v.word, v.numbers, criterion(v.claim)] for v in verdicts]
+        page.table(["claim", "verdict", "numbers", "criterion"], rows)
     if video is not None:
         page.section("One episode, twice")
         text = "The same frozen episode: the controller fails, with the residual it succeeds."
         page.video(video, text)
     for experiment in experiments:
         _experiment(page, experiment, findings[experiment.name], figures[experiment.name])
+        _clips(page, experiment, clips.get(experiment.name, ()))
     _failures(page, ending)
     _configurations(page, experiments, findings, out.parent)
     page.section("Versions")
@@ -55,9 +71,11 @@ def write_report(
 
 
 def _experiment(page: Page, experiment: Experiment, finding: Finding, figure: Path) -> None:
-    page.section(f"{experiment.title} ({experiment.paper})")
+    page.section(experiment.heading)
+    if experiment.figure == "tasks":
+        _standings(page, finding)
     page.image(figure.with_suffix(".svg"), f"Experiment `{experiment.name}`")
-    if experiment.figure != "spread":
+    if experiment.figure not in ("spread", "tasks"):
         page.table(*final_rows(experiment, finding))
     if finding.outcomes[0].knows("success") and experiment.figure in ("table", "sweep"):
         page.table(*success_rows(experiment, finding))
@@ -67,6 +85,37 @@ def _experiment(page: Page, experiment: Experiment, finding: Finding, figure: Pa
         text = "; ".join(f"{entry} {overall_iqm(outcomes, entry)}" for entry in known)
         page.text(f"{arm}, all settings, IQM with bootstrap stratified by setting: {text}.")
     page.text(f"Again: `rrl reproduce {experiment.name}`.")
+
+
+def _standings(page: Page, finding: Finding) -> None:
+    page.table(HEADER, [standing_row(outcome) for outcome in finding.outcomes])
+    page.text(
+        "Brackets hold 95 % intervals: of the controller over its episodes; of policies over runs "
+        "and episodes (success, beta-binomial) or over runs (return, Student's t); of the gain "
+        "over runs and episodes, paired where the episodes are frozen. Not worse: at every "
+        "evaluation of every run during training, and on the final episodes in the mean of the "
+        "runs, what is handed over is at most the allowed difference below the controller (see "
+        "`trainer.acceptance.margin`; of returns it is a share of the range of the controller's). "
+        "Better: beyond that the interval of the final gain is above zero."
+    )
+    times = [run.seconds for outcome in finding.outcomes for run in outcome.runs]
+    page.text(
+        f"Wall time of all {len(times)} runs together, one after the other: "
+        f"{sum(times) / 3600:.1f} h; side by side it is divided by the number of workers, as long "
+        "as each has a core."
+    )
+
+
+def _clips(page: Page, experiment: Experiment, clips: Sequence[tuple[Path, str]]) -> None:
+    if not clips:
+        return
+    page.section(f"{experiment.title}: videos")
+    page.text(
+        "Left the controller alone, right what the run hands over, on the same episode: the first "
+        "that the controller fails and the policy solves, or else the first. Where a run hands "
+        "over the controller, both halves show it."
+    )
+    page.videos(clips)
 
 
 def _seeds(experiments: Sequence[Experiment], settings: Settings) -> str:

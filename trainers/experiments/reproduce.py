@@ -14,11 +14,12 @@ from ..launch.pool import Ending, launch, require_all
 from ..training.interruption import Interruption
 from .claims import Verdict, judge
 from .figures import draw
-from .outcomes import gather
+from .outcomes import Finding, gather
 from .plan import Compose, Point, plan_jobs, plan_points
 from .report import write_report
 from .spec import Experiment, Settings, load_experiments, load_settings
-from .video import rescue_video
+from .standing import HEADER, standing_row
+from .video import rescue_video, task_videos
 
 __all__ = ["reproduce"]
 
@@ -78,12 +79,23 @@ def _show(
     shown = [experiment for experiment in experiments if experiment.name in findings]
     figures = {e.name: draw(e, findings[e.name], report.parent / "figures") for e in shown}
     verdicts = judge(findings)
-    video = rescue_video(findings, console)
+    tasks = [experiment for experiment in shown if experiment.figure == "tasks"]
+    clips = {e.name: task_videos(findings[e.name], console) for e in tasks}
+    video = rescue_video(findings, console) if len(tasks) < len(shown) else None
     if verdicts:
         console.print(_verdict_table(verdicts))
-    write_report(shown, findings, figures, verdicts, video, settings, ending, report)
+    for experiment in tasks:
+        console.print(_task_table(experiment, findings[experiment.name]))
+    write_report(shown, findings, figures, verdicts, video, clips, settings, ending, report)
     for path in (*figures.values(), report):
         console.say(f"  {path}")
+
+
+def _task_table(experiment: Experiment, finding: Finding) -> Table:
+    table = Table(*HEADER, title=experiment.title, title_justify="left", show_lines=True)
+    for outcome in finding.outcomes:
+        table.add_row(*standing_row(outcome))
+    return table
 
 
 def _verdict_table(verdicts: Sequence[Verdict]) -> Table:

@@ -51,8 +51,9 @@ class Experiment(_Section):
     Attributes:
         name: Name of the file.
         title: What is shown.
-        paper: Where the paper has it.
-        figure: What is drawn: ``curves``, ``sweep``, ``table`` or ``spread``.
+        paper: Where the paper has it; None: nowhere.
+        figure: What is drawn: ``curves``, ``sweep``, ``table``, ``spread``, or ``tasks``: every arm
+            is a task of its own, with its own controller.
         by_name: Whether it is left out where no experiment is named.
         seeds: How many, instead of the scale's number.
         runs_of: Another experiment whose runs these are.
@@ -66,8 +67,8 @@ class Experiment(_Section):
 
     name: str
     title: str
-    paper: str
-    figure: Literal["curves", "sweep", "table", "spread"]
+    paper: str | None = None
+    figure: Literal["curves", "sweep", "table", "spread", "tasks"]
     by_name: bool = False
     seeds: Positive | None = None
     runs_of: str | None = None
@@ -76,6 +77,11 @@ class Experiment(_Section):
     arms: dict[str, Overrides] = {}
     sweep: Sweep | None = None
     scales: dict[str, Overrides] = {}
+
+    @property
+    def heading(self) -> str:
+        """Title, and where the paper has it."""
+        return f"{self.title} ({self.paper})" if self.paper else self.title
 
     @model_validator(mode="after")
     def _check(self) -> Experiment:

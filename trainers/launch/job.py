@@ -28,6 +28,7 @@ NOT_MEASURED = (
     "trainer.evaluation.slots",
     "env.base.num_threads",
     "env.renderer*",
+    "env.packages*",
 )
 """Dotted keys that do not decide what is learned and measured."""
 

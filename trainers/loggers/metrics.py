@@ -15,6 +15,7 @@ __all__ = [
     "STEP_AXIS",
     "TIME",
     "TRAIN",
+    "WHOLE_SECTIONS",
     "Values",
     "evaluation",
     "name",
@@ -60,6 +61,9 @@ TIME = "time"
 ``update``, ``evaluate``, ``checkpoint``, ``log``; ``sample`` and ``compile`` are parts of
 ``update``. With ``trainer.profile`` also the parts of a collection, ``time/collect/<part>``, or of
 ``time/beside`` where a second process collects."""
+
+WHOLE_SECTIONS = ("collect", "store", "update", "evaluate", "checkpoint", "log")
+"""Of ``time/``: they follow one another, so that their sum is the time of the run."""
 
 
 def name(group: str, *parts: str) -> str:

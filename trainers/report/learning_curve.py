@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from .panels import LEARNING, Panel
 from .runs import Group
 
-__all__ = ["CONTROLLER_COLOR", "RESIDUAL_COLOR", "learning_curve"]
+__all__ = ["ACCEPTED_COLOR", "CONTROLLER_COLOR", "RESIDUAL_COLOR", "learning_curve"]
 
 RESIDUAL_COLOR, CONTROLLER_COLOR = "#1b6ca8", "#c1440e"
 ACCEPTED_COLOR = "#222222"

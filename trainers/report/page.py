@@ -88,6 +88,17 @@ class Page:
             caption,
         )
 
+    def videos(self, videos: Sequence[tuple[Path | str, str]]) -> None:
+        """Add videos with their captions, as many beside one another as there is room for.
+
+        Raises:
+            ValueError: If a file is of another kind.
+        """
+        self._blocks.append('<div class="videos">')
+        for path, caption in videos:
+            self.video(path, caption)
+        self._blocks.append("</div>")
+
     def chart(self, figure: Figure, caption: str = "") -> None:
         """Add an interactive Plotly figure; its colors follow the reader's light or dark theme."""
         self._charts += 1

@@ -8,7 +8,7 @@ import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +85,15 @@ class Run:
     def env_steps(self) -> int:
         """Environment steps, as far as they are logged."""
         return max((points[-1][0] for points in self.record.values()), default=0)
+
+    @property
+    def seconds(self) -> float:
+        """Wall time that was spent in the run's loop and its evaluations, over all its sessions."""
+        return sum(
+            value
+            for name in map(partial(metrics.name, metrics.TIME), metrics.WHOLE_SECTIONS)
+            for _, value in self.record.get(name, ())
+        )
 
     @property
     def videos(self) -> list[Path]:

@@ -13,12 +13,14 @@ from rich.table import Table
 from rrl.keys import METRICS
 
 from ..evaluation.statistics import (
+    Interval,
     mean_interval,
     paired_interval,
     success_interval,
     unpaired_interval,
     wilson,
 )
+from .curves import Floats
 from .panels import quantity_title
 from .runs import Record
 
@@ -26,10 +28,12 @@ if TYPE_CHECKING:  # without torch a report of finished runs is quick
     from ..evaluation.episodes import Comparison
 
 __all__ = [
+    "ACCEPTED",
     "COLUMNS",
     "EPISODE_COLUMNS",
     "Results",
     "episode_rows",
+    "gain",
     "handed_over",
     "markdown_tables",
     "notes",
@@ -105,23 +109,15 @@ def success_rows(results: Results) -> list[list[str]]:
 
 def success_cells(records: Sequence[Record]) -> list[str]:
     """Return a scenario's row after its name; returns stand in where there is no success."""
-    episodes = [record["episodes"] for record in records]
-    entry = "success" if "success" in episodes[0] else "return"
-    values = np.array([e[entry] for e in episodes], dtype=float)  # (S, N)
-    alone = np.array([e[f"controller_{entry}"] for e in episodes], dtype=float)
+    entry, values, alone = _compared(records)
     frozen = all(map(_frozen, records))
-    bound = 1.0 if entry == "success" else None
-    gain = (
-        paired_interval(values - alone, bound)
-        if frozen
-        else unpaired_interval(values, alone, bound)
-    )
+    change, interval = gain(records)
     alone = alone[:1] if frozen else alone  # frozen, it is the same in every run
     if entry == "return":
         return [
             f"{alone.mean():.2f}",
             with_interval(values.mean(), mean_interval(values.mean(axis=1))),
-            with_interval(values.mean() - alone.mean(), gain, sign="+"),
+            with_interval(change, interval, sign="+"),
             "",
             "",
         ]
@@ -129,9 +125,33 @@ def success_cells(records: Sequence[Record]) -> list[str]:
     return [
         with_interval(alone.mean(), wilson(int(alone.sum()), alone.size), 100.0),
         with_interval(values.mean(), success_interval(values.sum(axis=1).tolist(), count), 100.0),
-        with_interval(values.mean() - alone.mean(), gain, 100.0, sign="+"),
+        with_interval(change, interval, 100.0, sign="+"),
         *(_mean_change(records, key) if frozen else "" for key in ("rescues", "regressions")),
     ]
+
+
+def gain(records: Sequence[Record]) -> tuple[float, Interval]:
+    """Return by how much the policies beat the controller, with its interval.
+
+    In success rate, or in return where there is no success; paired where episodes are frozen.
+    """
+    entry, values, alone = _compared(records)
+    bound = 1.0 if entry == "success" else None
+    frozen = all(map(_frozen, records))
+    interval = (
+        paired_interval(values - alone, bound)
+        if frozen
+        else unpaired_interval(values, alone, bound)
+    )
+    return float(values.mean() - alone.mean()), interval
+
+
+def _compared(records: Sequence[Record]) -> tuple[str, Floats, Floats]:
+    """What is compared, and its values ``[S, N]`` by run: the policies', the controller's."""
+    episodes = [record["episodes"] for record in records]
+    entry = "success" if "success" in episodes[0] else "return"
+    values = np.array([e[entry] for e in episodes], dtype=float)
+    return entry, values, np.array([e[f"controller_{entry}"] for e in episodes], dtype=float)
 
 
 def _mean_change(records: Sequence[Record], key: str) -> str:

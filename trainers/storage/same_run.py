@@ -23,6 +23,7 @@ MAY_CHANGE = (
     "env.base.num_threads",
     "env.scenarios*",
     "env.renderer*",
+    "env.packages*",
     "algorithm.agent.*_lr",
     "algorithm.agent.compiled",
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -167,8 +168,7 @@ class Trainer:
             Interrupted: If a signal asked for it; the run is saved.
             FileExistsError: See :meth:`require_new_or_resumed`.
             BlockingIOError: See :meth:`require_new_or_resumed`.
-            FloatingPointError: If losses or parameters are no longer finite; the checkpoint before
-                stays.
+            FloatingPointError: If losses or parameters are not finite; the checkpoint before stays.
         """
         settings = self.settings
         self.require_new_or_resumed()
@@ -197,9 +197,8 @@ class Trainer:
         """
         self.checkpoints.claim()
         if not self._resumed and (self.checkpoints.exist() or self.store.log.count):
-            raise FileExistsError(
-                f"{self.run_dir}: expected a directory without a run; resume it, or choose another"
-            )
+            what = "expected a directory without a run; resume it, or choose another"
+            raise FileExistsError(f"{self.run_dir}: {what}")
 
     def close(self) -> None:
         """Finish the loggers and close the environments, even those that no longer answer."""
@@ -232,8 +231,7 @@ class Trainer:
         with self.stopwatch("log"):
             self._log(values)
         if self._evaluation_due():
-            with self.stopwatch("evaluate"):
-                self._evaluate()
+            self._evaluate()
         self.progress.advance(self.settings.steps_per_round)
         if checkpoint_due:
             with self.stopwatch("checkpoint"):
@@ -280,19 +278,21 @@ class Trainer:
 
     def _evaluate(self) -> None:
         followed, episodes = self.evaluator.followed, self.settings.evaluation.episodes
-        latest = self.evaluator.compare(self.agent.policy, followed, Stream.FOLLOWING, episodes)
-        comparison, tested = self.acceptance.consider(latest, self.env_steps)
+        with self.stopwatch("evaluate"):
+            latest = self.evaluator.compare(self.agent.policy, followed, Stream.FOLLOWING, episodes)
+            comparison, tested = self.acceptance.consider(latest, self.env_steps)
         self.progress.show(comparison, self.env_steps)
         self._log(metrics.evaluation(metrics.EVALUATION, followed, comparison.summary()) | tested)
 
     def _evaluate_all(self) -> dict[str, Comparison]:
         results, episodes = {}, self.settings.evaluation.final_episodes
+        compare = partial(self.acceptance.handed_over.compare, self.evaluator, self.env_steps)
         for scenario in self.progress.track(self.evaluator.scenarios, "evaluating"):
             self._stop_if_asked()
-            results[scenario] = self.acceptance.handed_over.compare(
-                self.evaluator, self.env_steps, scenario, Stream.FINAL, episodes
-            )
-            self._log(metrics.evaluation(metrics.FINAL, scenario, results[scenario].summary()))
+            with self.stopwatch("evaluate"):
+                results[scenario] = compare(scenario, Stream.FINAL, episodes)
+            summary = metrics.evaluation(metrics.FINAL, scenario, results[scenario].summary())
+            self._log(summary | measured(self.stopwatch))
         return results
 
     def _log(self, values: Mapping[str, float]) -> None:

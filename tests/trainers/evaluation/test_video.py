@@ -35,10 +35,11 @@ def episodes(success):
 
 def test_the_first_rescue_is_chosen():
     comparison = Comparison(episodes([True, True, True]), episodes([True, False, False]))
-    assert choose_episode(comparison, "rescue") == 1
-    assert choose_episode(comparison, 2) == 2
+    assert choose_episode("rescue", 3, comparison.rescues) == 1
+    assert choose_episode("rescue", 3, []) == 0
+    assert choose_episode(2, 3, comparison.rescues) == 2
     with pytest.raises(ValueError, match="number below 3, got 3"):
-        choose_episode(comparison, 3)
+        choose_episode(3, 3, comparison.rescues)
 
 
 def test_the_recorded_episode_is_the_evaluated_one(environment):

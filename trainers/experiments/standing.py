@@ -1,0 +1,121 @@
+"""How an arm stands against its controller: what its runs hand over, at every evaluation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..evaluation.statistics import Interval, mean_interval, success_interval, wilson
+from ..loggers import metrics
+from ..report.runs import Run
+from ..report.tables import ACCEPTED, gain, handed_over, with_interval
+from .outcomes import Outcome
+
+__all__ = ["HEADER", "Standing", "standing", "standing_row"]
+
+HEADER = [
+    "task",
+    "measured by",
+    "controller",
+    "latest policy",
+    "handed over",
+    "gain of what is handed over",
+    "least gain at an evaluation",
+    "verdict",
+    "wall time of a run",
+    "packages",
+]
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What the runs of an arm hand over, against their controller; in success rate or return.
+
+    Attributes:
+        entry: ``success`` where the environment reports it, else ``return``.
+        margin: How much less than the controller's still counts as not worse: the share
+            ``trainer.acceptance.margin`` of success, or of the range of the controller's returns.
+        gain: Of the final evaluation, mean of the runs.
+        interval: Its 95 % interval.
+        least: The least gain of any run at any evaluation during training.
+    """
+
+    entry: str
+    margin: float
+    gain: float
+    interval: Interval
+    least: float
+
+    @property
+    def verdict(self) -> str:
+        """``better``, ``not worse`` or ``worse``."""
+        if min(self.least, self.gain) < -self.margin:
+            return "worse"
+        return "better" if self.interval[0] > 0 else "not worse"
+
+
+def standing(outcome: Outcome) -> Standing:
+    """Judge an arm.
+
+    Raises:
+        KeyError: If the runs logged no evaluation during training.
+    """
+    entry = "success" if outcome.knows("success") else "return"
+    records = [handed_over(run.results[outcome.followed]) for run in outcome.runs]
+    share = float(outcome.point.config["trainer"]["acceptance"]["margin"])
+    alone = [record["episodes"][f"controller_{entry}"] for record in records]
+    scale = 1.0 if entry == "success" else float(np.ptp(np.array(alone, dtype=float)))
+    least = min(change for run in outcome.runs for change in _changes(run, entry))
+    return Standing(entry, share * scale, *gain(records), least)
+
+
+def standing_row(outcome: Outcome) -> list[str]:
+    """Return an arm's row for ``HEADER``."""
+    found = standing(outcome)
+    unit = 100.0 if found.entry == "success" else 1.0
+    policies = [_values(outcome, prefix + found.entry) for prefix in ("controller_", "", ACCEPTED)]
+    cells = [_with_interval(values, unit) for values in (policies[0][:1], *policies[1:])]
+    cells.append(with_interval(found.gain, found.interval, unit, sign="+"))
+    least = f"{found.least * unit:+.2f} (allowed: {-found.margin * unit:.2f})"
+    minutes = np.mean([run.seconds for run in outcome.runs]) / 60
+    cells += [least, found.verdict, f"{minutes:.1f} min", _packages(outcome)]
+    return [outcome.point.arm, found.entry, *cells]
+
+
+def _changes(run: Run, entry: str) -> Iterator[float]:
+    """What is handed over less the controller, at each evaluation during training."""
+    prefixes = ("controller_", ACCEPTED, "")
+    names = [metrics.name(metrics.EVALUATION, run.followed, p + entry) for p in prefixes]
+    controller, accepted, latest = (run.record.get(name, []) for name in names)
+    if not controller:
+        raise KeyError(names[0])
+    for (_, alone), (_, value) in zip(controller, accepted or latest, strict=True):
+        yield value - alone
+
+
+def _values(outcome: Outcome, entry: str) -> np.ndarray:
+    """Every run's final episodes ``[S, N]``; the latest policy's where nothing is tested."""
+    episodes = [run.results[outcome.followed]["episodes"] for run in outcome.runs]
+    found = [e.get(entry, e[entry.removeprefix(ACCEPTED)]) for e in episodes]
+    return np.array(found, dtype=float)
+
+
+def _with_interval(values: np.ndarray, unit: float) -> str:
+    """A mean over runs, or over the episodes of one, with its interval."""
+    solved, count = values.sum(axis=1).astype(int).tolist(), values.shape[1]
+    if unit == 1.0:
+        interval = mean_interval(values.mean(axis=1) if len(values) > 1 else values[0])
+    else:
+        interval = success_interval(solved, count) if len(solved) > 1 else wilson(solved[0], count)
+    text = with_interval(float(values.mean()), interval, unit)
+    return text if not math.isnan(interval[0]) else f"{values.mean() * unit:.2f}"
+
+
+def _packages(outcome: Outcome) -> str:
+    """Name the versions of the packages that the environment says it needs."""
+    names = outcome.point.config["env"].get("packages") or ()
+    known = {name: [run.versions.get(name, "unknown") for run in outcome.runs] for name in names}
+    return ", ".join(f"{name} {' or '.join(dict.fromkeys(v))}" for name, v in known.items())
