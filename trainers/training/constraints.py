@@ -46,10 +46,23 @@ class Constraints:
     Args:
         metrics: What the environment reports, by name, some of it with a budget.
         settings: How multipliers adapt; None keeps no budget.
+        n_step: How many rewards a transition sums.
+
+    Raises:
+        ValueError: If a last value has a budget and ``n_step`` is above 1: what a step changes in
+            it the next one changes again, so that a sum over both does not say what it has cost.
     """
 
-    def __init__(self, metrics: Mapping[str, Metric], settings: ConstraintSettings | None) -> None:
+    def __init__(
+        self, metrics: Mapping[str, Metric], settings: ConstraintSettings | None, n_step: int
+    ) -> None:
         kept = budgets(metrics, settings)
+        last = [name for name in kept if metrics[name].reduce == "last"]
+        if last and n_step > 1:
+            raise ValueError(
+                f"trainer.n_step: expected 1 with a budget for the last value of {last[0]}, got "
+                f"{n_step}; set it to 1, or take the metric's max or sum"
+            )
         rate = 0.0 if settings is None else settings.rate
         self.multipliers = {name: Multiplier(budget, rate) for name, budget in kept.items()}
 

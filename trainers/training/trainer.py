@@ -98,7 +98,7 @@ class Trainer:
             settings.device,
         )
         self.replay = self.store.replay
-        self.constraints = Constraints(environment.metrics, settings.constraints)
+        self.constraints = Constraints(environment.metrics, settings.constraints, settings.n_step)
         self.evaluator = Evaluator(scenarios or {"training": environment}, settings.evaluation)
         self.acceptance = Acceptance(settings, self.agent, self.evaluator)
         self.learning = Learning(

@@ -35,6 +35,7 @@ def point(**changes):
             "base": lambda num_envs=1: PointMass([num_envs]),
             "controller": partial(PIDController, gain=2.0, integral_gain=0.5, time_step=0.02),
             "inputs": ["end_effector_position", "goal", "previous_action"],
+            "residual_scale": 0.5,
             "safety": [partial(StepLimit, change=0.2), partial(FiniteAction, replacement="last")],
             "control_period": 1 / RATE,
             "units": {"goal": "m", "action": "0.1 m"},
@@ -85,8 +86,9 @@ def test_it_tells_what_the_command_is_made_of(policy):
     assert set(policy.reports) == {"base_action", "residual", "safety.step", "safety.finite"}
     assert policy.reports["safety.step"].all()
     assert not policy.reports["safety.finite"].any()
-    wanted = policy.reports["base_action"] + policy.reports["residual"]
-    np.testing.assert_allclose(command, wanted.clip(-1, 1).clip(-0.2, 0.2), atol=1e-6)
+    wanted = (policy.reports["base_action"] + 0.5 * policy.reports["residual"]).clip(-1, 1)
+    on_the_way = wanted * min(1.0, 0.2 / np.abs(wanted).max())
+    np.testing.assert_allclose(command, on_the_way, atol=1e-6)
 
 
 def test_torch_runs_the_same_graph(folder, policy):

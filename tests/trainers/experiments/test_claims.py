@@ -213,7 +213,15 @@ def test_the_report_opens_offline_and_without_errors(outcome, tmp_path):
     failed = Job(tmp_path / "lost/seed-0", {"trainer": {"total_steps": 100}})
     ending = Ending(failed=[failed])
     path = write_report(
-        experiments, findings, figures, judge(findings), None, settings, ending, tmp_path / "r.html"
+        experiments,
+        findings,
+        figures,
+        judge(findings),
+        None,
+        {},
+        settings,
+        ending,
+        tmp_path / "r.html",
     )
     with opened(path) as page:
         text = page.inner_text("body")

@@ -36,10 +36,12 @@ def test_exploration_decays_over_the_environment_steps_of_a_seed_and_resumes_whe
 
 def test_the_stored_action_is_the_one_that_acted(make_trainer, factory):
     trainer = make_trainer(
-        environment=replace(factory, disturbances=[ControlNoise]), total_steps=200
+        environment=replace(factory, disturbances=[ControlNoise]),
+        total_steps=200,
+        controller_steps=0,
     )
     data = trainer.collection.rollout(0)
-    executed = (data["base_action"] + data["action"]).clamp(-1.0, 1.0)
+    executed = (data["base_action"] + factory.residual_scale * data["action"]).clamp(-1.0, 1.0)
     torch.testing.assert_close(data["next", "executed_action"], executed)
     transitions, _ = trainer.collection.collect(20)
     trainer.store.extend(transitions)
@@ -51,7 +53,9 @@ def test_the_stored_action_is_the_one_that_acted(make_trainer, factory):
 def test_the_policy_reads_the_controllers_action_and_its_own_last_ones(make_trainer, factory):
     inputs = {"goal": Input(), "base_action": Input(), "previous_action": Input(scale=2.0)}
     trainer = make_trainer(
-        environment=replace(factory, inputs=inputs, action_history=2), total_steps=200
+        environment=replace(factory, inputs=inputs, action_history=2),
+        total_steps=200,
+        controller_steps=0,
     )
     data = trainer.collection.rollout(trainer.env_steps)  # [1, T]
     said = data["action"][0]
