@@ -94,8 +94,7 @@ def test_every_round_acts_with_the_policy_of_the_round_before(make):
         lagging.store.extend(transitions)
         lagging.counters["env_steps"] += 20
         if lagging.env_steps >= 40:
-            with lagging.generator.drawing():
-                lagging._update()
+            lagging.learning.update()
     assert policy is not None
     assert same(overlapped, lagging)
     lagging.close()
