@@ -5,7 +5,7 @@ from rrl.transforms.control_noise import ControlNoise
 from rrl.transforms.episode_value import EpisodeValue
 from rrl.transforms.residual_action import ResidualAction
 from rrl.transforms.safety import FiniteAction, ForceLimit, SafetyLimit, StepLimit, WorkspaceLimit
-from rrl.transforms.sensing import ObservationLatency, ObservationNoise
+from rrl.transforms.sensing import ObservationDropout, ObservationLatency, ObservationNoise
 
 __all__ = [
     "ActionHistory",
@@ -13,6 +13,7 @@ __all__ = [
     "EpisodeValue",
     "FiniteAction",
     "ForceLimit",
+    "ObservationDropout",
     "ObservationLatency",
     "ObservationNoise",
     "ResidualAction",
