@@ -13,7 +13,7 @@ from pydantic import ConfigDict, Field, ValidationError, model_validator
 from pydantic.dataclasses import dataclass
 from typing_extensions import Self
 
-__all__ = ["NUM_JOINTS", "PRESETS", "InsertionConfig", "make_config"]
+__all__ = ["NUM_JOINTS", "PRESETS", "InsertionConfig", "explain", "make_config"]
 
 NUM_JOINTS = 7
 Number = Annotated[float, Field(strict=True)]
@@ -223,11 +223,15 @@ def make_config(
     try:
         return dataclasses.replace(base, **values)
     except ValidationError as error:
-        raise ValueError("; ".join(map(_explain, error.errors()))) from None
+        raise ValueError(explain(error)) from None
 
 
-def _explain(error: Mapping[str, Any]) -> str:
-    """Return one of pydantic's findings as ``name: expected X, got Y``."""
+def explain(error: ValidationError) -> str:
+    """Return what pydantic found, each as ``name: expected X, got Y``."""
+    return "; ".join(map(_explain_one, error.errors()))
+
+
+def _explain_one(error: Mapping[str, Any]) -> str:
     if error["type"] == "value_error":
         return str(error["ctx"]["error"])
     message = "expected a value" if error["type"] == "missing" else error["msg"]
