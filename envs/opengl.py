@@ -61,7 +61,8 @@ def find_backend() -> str:
     raise RenderingUnavailable(
         f"MUJOCO_GL: expected a backend that renders on this machine, got {wanted!r} "
         f"({'; '.join(reasons)}). Only videos and environments with a camera need "
-        "one. Install one, on Debian or Ubuntu for instance `apt-get install libegl1 libgl1-mesa-dri` for EGL or "
+        "one. Install one, on Debian or Ubuntu for instance "
+        "`apt-get install libegl1 libgl1-mesa-dri` for EGL or "
         "`apt-get install libosmesa6` for OSMesa."
     )
 

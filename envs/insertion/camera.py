@@ -22,6 +22,7 @@ __all__ = ["CameraConfig", "TaskCamera", "make_camera_config"]
 
 LAMP = "key"
 """The light that is moved."""
+Floats = NDArray[np.float64]
 Vector = tuple[Number, Number, Number]
 STILL = (0.0, 0.0, 0.0)
 
@@ -60,11 +61,11 @@ class TaskCamera:
 
     Shadows, reflections and large buffers cost a hundred times what the rest does without a GPU,
     so this camera has a model of its own that goes without. A picture depends on nothing but the
-    state and the yaw of the standing blocks.
+    state and where the standing blocks stood at the reset.
 
     Args:
         model: The task's model; it stays as it is.
-        start: The start of its episodes, which writes yaws into models.
+        start: The start of its episodes, which writes yaws and places into models.
         config: The camera.
     """
 
@@ -80,8 +81,13 @@ class TaskCamera:
         self._camera = self._model.camera(config.camera).id
         self._renderer: mujoco.Renderer | None = None
 
-    def draw(self, state: NDArray[np.float64], yaw: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """Return the picture [size, size, 3] of a full physics state [nstate] and yaws [2].
+    def draw(self, state: Floats, yaw: Floats, place: Floats) -> NDArray[np.uint8]:
+        """Return the picture [size, size, 3] of a slot.
+
+        Args:
+            state: Its full physics state [nstate].
+            yaw: Of the standing blocks at the reset [2].
+            place: Of the standing blocks at the reset [2].
 
         Raises:
             RenderingUnavailable: If no OpenGL backend works.
@@ -89,7 +95,7 @@ class TaskCamera:
         model, data, size = self._model, self._data, self.config.picture_size
         if self._renderer is None:
             self._renderer = opened(model, self.config.camera, size, size)
-        self._start.set_yaw(model, yaw)
+        self._start.set_blocks(model, yaw, place)
         mujoco.mj_setState(model, data, state, STATE)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_camlight(model, data)

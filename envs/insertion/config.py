@@ -19,6 +19,7 @@ NUM_JOINTS = 7
 Number = Annotated[float, Field(strict=True)]
 Positive = Annotated[float, Field(strict=True, gt=0)]
 NonNegative = Annotated[float, Field(strict=True, ge=0)]
+Offset = Annotated[float, Field(strict=True, ge=0, le=0.05)]
 Count = Annotated[int, Field(strict=True, ge=1)]
 PerJoint = Field(min_length=NUM_JOINTS, max_length=NUM_JOINTS)
 
@@ -59,6 +60,10 @@ class InsertionConfig:
     """Height of the inserted block above its goal at reset."""
     start_range: tuple[NonNegative, NonNegative, NonNegative] = (0.01, 0.01, 0.01)
     """The start is drawn uniformly within this distance of its nominal position, per axis."""
+
+    place_range: tuple[Offset, Offset] = (0.0, 0.0)
+    """The standing blocks, and the gap with the goal between them, stand within this distance of
+    where the robot believes them (``goal_xy``), drawn uniformly at reset, x and y, m."""
 
     # Orientation of the standing blocks at reset: one of the two.
     yaw_range: NonNegative = 0.0
@@ -119,7 +124,7 @@ class InsertionConfig:
 
     @property
     def goal(self) -> tuple[float, float, float]:
-        """Where the center of the inserted block belongs, m."""
+        """Where the robot believes that the center of the inserted block belongs, m."""
         return (*self.goal_xy, self.held_half_size[2])
 
     @property
@@ -129,7 +134,7 @@ class InsertionConfig:
 
     @property
     def block_goals(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        """X_g: where the centers of the left and right standing block belong, m."""
+        """X_g of blocks that stand where the robot believes: centers, left and right, m."""
         (x, y), height = self.goal_xy, self.standing_half_size[2]
         return (x - self.block_offset, y, height), (x + self.block_offset, y, height)
 

@@ -68,7 +68,7 @@ class InsertionPixelsEnv(InsertionEnv):
         self._camera = TaskCamera(simulation.models[0], simulation.start, config)
         shape = (num_envs, picture_size, picture_size, 3)
         self._pixels = np.zeros(shape, dtype=np.uint8)
-        self._shown = np.full((num_envs, simulation.state.shape[1] + 2), np.nan)
+        self._shown = np.full((num_envs, simulation.state.shape[1] + 4), np.nan)
         observation = self.observation_spec.clone()
         observation[PIXELS] = Bounded(0, 255, shape=shape, dtype=torch.uint8)
         self.observation_spec = observation
@@ -107,10 +107,11 @@ class InsertionPixelsEnv(InsertionEnv):
     def _pictures(self) -> np.ndarray:
         """Return the slots' pictures [num_envs, size, size, 3]; draws those that have changed."""
         simulation = self._simulation
-        states = np.concatenate((simulation.state, simulation.yaw), axis=1)
-        for slot in np.flatnonzero((states != self._shown).any(axis=1)).tolist():
-            self._pixels[slot] = self._camera.draw(simulation.state[slot], simulation.yaw[slot])
-        self._shown = states
+        parts = simulation.state, simulation.yaw, simulation.place
+        shown = np.concatenate(parts, axis=1)
+        for slot in np.flatnonzero((shown != self._shown).any(axis=1)).tolist():
+            self._pixels[slot] = self._camera.draw(*(part[slot] for part in parts))
+        self._shown = shown
         return self._pixels.copy()
 
     def close(self, **kwargs: Any) -> None:

@@ -59,10 +59,8 @@ def test_all_but_the_picture_is_the_task_without_a_camera(variant: str) -> None:
 
 def test_a_picture_shows_its_own_slot_as_it_stands(variant: str) -> None:
     """Motion and yaw are in it, and neighbours, earlier pictures and other cameras are not."""
-    batch = InsertionPixelsEnv(variant, num_envs=3, seed=5, yaw_choices=(-20.0, 0.0, 20.0))
-    alone = [
-        InsertionPixelsEnv(variant, seed=5 + i, yaw_choices=(-20.0, 0.0, 20.0)) for i in range(3)
-    ]
+    batch = InsertionPixelsEnv(variant, num_envs=3, seed=5, place_range=(0.03, 0.03))
+    alone = [InsertionPixelsEnv(variant, seed=5 + i, place_range=(0.03, 0.03)) for i in range(3)]
     first = batch.reset()["pixels"]
     assert torch.equal(first, torch.cat([env.reset()["pixels"] for env in alone]))
     assert len({picture.numpy().tobytes() for picture in first}) == 3
@@ -86,7 +84,7 @@ def test_slots_that_do_not_step_or_reset_show_what_they_showed() -> None:
 
 
 def test_state_dict_goes_on_in_the_middle_of_an_episode() -> None:
-    env = InsertionPixelsEnv(num_envs=2, seed=1)
+    env = InsertionPixelsEnv("sim", num_envs=2, seed=1, yaw_range=0.3, place_range=(0.03, 0.03))
     env.reset()
     actions = random_actions(12, 2)
     for action in actions[:5]:
@@ -94,7 +92,7 @@ def test_state_dict_goes_on_in_the_middle_of_an_episode() -> None:
     file = io.BytesIO()
     torch.save(copy.deepcopy(env.state_dict()), file)
     file.seek(0)
-    other = InsertionPixelsEnv(num_envs=2, seed=9)
+    other = InsertionPixelsEnv("sim", num_envs=2, seed=9, yaw_range=0.3, place_range=(0.03, 0.03))
     other.reset()
     other.load_state_dict(torch.load(file, weights_only=False))
     for action in actions[5:]:
