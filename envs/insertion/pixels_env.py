@@ -42,6 +42,9 @@ class InsertionPixelsEnv(InsertionEnv):
         light_shift: By how much the lamp stands elsewhere (x, y, z) [m].
         overrides: Fields of :class:`~rrl.envs.InsertionConfig` to replace.
 
+    Attributes:
+        camera: Draws the pictures; its OpenGL context belongs to the thread that drew the first.
+
     Raises:
         ValueError: If a name is unknown, a number is out of range, or values do not fit together.
         RenderingUnavailable: At the first reset, if no OpenGL backend works.
@@ -65,7 +68,7 @@ class InsertionPixelsEnv(InsertionEnv):
         )  # fmt: skip
         super().__init__(variant, num_envs, num_threads, seed, **overrides)
         simulation = self._simulation
-        self._camera = TaskCamera(simulation.models[0], simulation.start, config)
+        self.camera = TaskCamera(simulation.models[0], simulation.start, config)
         shape = (num_envs, picture_size, picture_size, 3)
         self._pixels = np.zeros(shape, dtype=np.uint8)
         self._shown = np.full((num_envs, simulation.state.shape[1] + 4), np.nan)
@@ -110,11 +113,11 @@ class InsertionPixelsEnv(InsertionEnv):
         parts = simulation.state, simulation.yaw, simulation.place
         shown = np.concatenate(parts, axis=1)
         for slot in np.flatnonzero((shown != self._shown).any(axis=1)).tolist():
-            self._pixels[slot] = self._camera.draw(*(part[slot] for part in parts))
+            self._pixels[slot] = self.camera.draw(*(part[slot] for part in parts))
         self._shown = shown
         return self._pixels.copy()
 
     def close(self, **kwargs: Any) -> None:
         """End the physics threads, and give up the OpenGL context."""
-        self._camera.close()
+        self.camera.close()
         super().close(**kwargs)
