@@ -17,7 +17,6 @@ if TYPE_CHECKING:
         Adam,
         Agent,
         AgentSettings,
-        Concatenate,
         EnsembleSACLoss,
         EnsembleTD3Loss,
         Multiplier,
@@ -36,6 +35,7 @@ if TYPE_CHECKING:
         SumController,
         ZeroController,
     )
+    from rrl.encoders import Concatenate, FrozenEncoder, PixelEncoder, automatic, random_shift
     from rrl.transforms import (
         ActionHistory,
         ControlNoise,
@@ -67,11 +67,13 @@ __all__ = [
     "EpisodeValue",
     "FiniteAction",
     "ForceLimit",
+    "FrozenEncoder",
     "FunctionController",
     "Multiplier",
     "ObservationLatency",
     "ObservationNoise",
     "PIDController",
+    "PixelEncoder",
     "PolicyController",
     "ProportionalController",
     "ReplayController",
@@ -85,12 +87,14 @@ __all__ = [
     "TrainerSettings",
     "WorkspaceLimit",
     "ZeroController",
+    "automatic",
     "mlp",
     "no_exploration",
+    "random_shift",
 ]
 
 _TRAINERS = ("EnvironmentFactory", "Trainer", "TrainerSettings")
-_PACKAGES = ("rrl.controllers", "rrl.transforms", "rrl.algorithms")
+_PACKAGES = ("rrl.controllers", "rrl.encoders", "rrl.transforms", "rrl.algorithms")
 
 
 def __getattr__(name: str) -> Any:

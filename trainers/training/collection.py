@@ -11,6 +11,7 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.collectors import Collector
+from torchrl.envs import EnvBase
 from torchrl.envs.transforms import InitTracker
 from torchrl.envs.utils import ExplorationType
 
@@ -28,7 +29,7 @@ from .constraints import budgets
 from .episode_state import EpisodeInProgress
 from .profiling import measured, watch_collection
 
-__all__ = ["Collection", "Exploration", "InTurn", "Interface"]
+__all__ = ["Collection", "Exploration", "InTurn", "Interface", "interface_of"]
 
 Metrics = dict[str, float]
 
@@ -39,10 +40,35 @@ Exploration = Callable[..., TensorDictModuleBase | None]
 
 @dataclass(frozen=True)
 class Interface:
-    """What a learner must know of the environment: the policy's inputs, and the action's size."""
+    """What a learner must know of the environment: inputs, and the action's size.
+
+    Attributes:
+        inputs: Of the policy.
+        action_size: Numbers of an action.
+        critic_inputs: Of the critics; None: the same.
+    """
 
     inputs: dict[str, Input]
     action_size: int
+    critic_inputs: dict[str, Input] | None = None
+
+    @property
+    def entries(self) -> list[str]:
+        """All entries that actor or critics read."""
+        return list(self.inputs | (self.critic_inputs or {}))
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the arguments that a learner is made with."""
+        arguments = {"inputs": self.inputs, "action_size": self.action_size}
+        if self.critic_inputs is not None:
+            arguments["critic_inputs"] = self.critic_inputs
+        return arguments
+
+
+def interface_of(environment: EnvironmentFactory, env: EnvBase) -> Interface:
+    """Return what a learner must know of an environment that the factory has made."""
+    size = env.full_action_spec[ACTION].shape[-1]
+    return Interface(environment.read_inputs(env), size, environment.read_critic_inputs(env))
 
 
 class Collection(ABC):
@@ -112,7 +138,7 @@ class InTurn(Collection):
         self.env = environment.make(settings.num_envs)
         seed_env(self.env, first_seed(Stream.TRAINING, settings.seed))
         spec = self.env.full_action_spec[ACTION]
-        self.interface = Interface(environment.read_inputs(self.env), spec.shape[-1])
+        self.interface = interface_of(environment, self.env)
         self.exploration = exploration(spec=spec)
         if hasattr(self.exploration, "is_init_key"):  # a process that starts anew with an episode
             self.env.append_transform(InitTracker())
@@ -165,7 +191,7 @@ class InTurn(Collection):
         """Collect now."""
         with torch.no_grad():
             data = self.rollout(env_steps)
-            kept = [*self.interface.inputs, *self._costs]
+            kept = [*self.interface.entries, *self._costs]
             if self.env.__dict__.get("_torchrl_native_autoreset", False):
                 _fill_in_last_observations(data, kept)
             values = collection_metrics(data, self.env) | self._returns.metrics(data)

@@ -84,9 +84,8 @@ class Trainer:
         collect = InBackground if settings.overlap else InTurn
         explore = exploration or default_exploration()
         self.collection: Collection = collect(settings, environment, explore)
-        interface = self.collection.interface
         make_agent = agent or default_agent(environment)
-        self.agent = make_agent(inputs=interface.inputs, action_size=interface.action_size)
+        self.agent = make_agent(**self.collection.interface.arguments())
         self.agent.to(settings.device)
         self.collection.set_policy(self.agent.policy)
         self.store = ReplayStore(
