@@ -60,8 +60,8 @@ class TaskCamera:
     """Draws physics states of any slot; OpenGL is not touched before the first picture.
 
     Without a GPU shadows and reflections cost a hundred times what the rest does, and round shapes
-    finer than a pixel half of it, so this camera has a model of its own that goes without. A picture depends on nothing but the
-    state and where the standing blocks stood at the reset.
+    finer than a pixel half of it, so this camera has a model of its own that goes without. A
+    picture depends on nothing but the state and where the standing blocks stood at the reset.
 
     Args:
         model: The task's model; it stays as it is.
