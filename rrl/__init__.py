@@ -36,12 +36,14 @@ if TYPE_CHECKING:
         SumController,
         ZeroController,
     )
+    from rrl.interventions import InterventionSampler, ScriptedOperator, relabel_interventions
     from rrl.transforms import (
         ActionHistory,
         ControlNoise,
         EpisodeValue,
         FiniteAction,
         ForceLimit,
+        Intervention,
         ObservationLatency,
         ObservationNoise,
         ResidualAction,
@@ -68,6 +70,8 @@ __all__ = [
     "FiniteAction",
     "ForceLimit",
     "FunctionController",
+    "Intervention",
+    "InterventionSampler",
     "Multiplier",
     "ObservationLatency",
     "ObservationNoise",
@@ -77,6 +81,7 @@ __all__ = [
     "ReplayController",
     "ResidualAction",
     "SafetyLimit",
+    "ScriptedOperator",
     "StatefulController",
     "StepLimit",
     "SumController",
@@ -87,10 +92,11 @@ __all__ = [
     "ZeroController",
     "mlp",
     "no_exploration",
+    "relabel_interventions",
 ]
 
 _TRAINERS = ("EnvironmentFactory", "Trainer", "TrainerSettings")
-_PACKAGES = ("rrl.controllers", "rrl.transforms", "rrl.algorithms")
+_PACKAGES = ("rrl.controllers", "rrl.transforms", "rrl.algorithms", "rrl.interventions")
 
 
 def __getattr__(name: str) -> Any:
