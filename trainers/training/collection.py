@@ -11,6 +11,7 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.collectors import Collector
+from torchrl.envs import EnvBase
 from torchrl.envs.transforms import InitTracker
 from torchrl.envs.utils import ExplorationType
 
@@ -39,10 +40,17 @@ Exploration = Callable[..., TensorDictModuleBase | None]
 
 @dataclass(frozen=True)
 class Interface:
-    """What a learner must know of the environment: the policy's inputs, and the action's size."""
+    """What a run must know of the environment.
+
+    Attributes:
+        inputs: The policy's inputs.
+        action_size: How many numbers an action has.
+        transition_bytes: What a stored transition takes.
+    """
 
     inputs: dict[str, Input]
     action_size: int
+    transition_bytes: int
 
 
 class Collection(ABC):
@@ -112,7 +120,7 @@ class InTurn(Collection):
         self.env = environment.make(settings.num_envs)
         seed_env(self.env, first_seed(Stream.TRAINING, settings.seed))
         spec = self.env.full_action_spec[ACTION]
-        self.interface = Interface(environment.read_inputs(self.env), spec.shape[-1])
+        inputs = environment.read_inputs(self.env)
         self.exploration = exploration(spec=spec)
         if hasattr(self.exploration, "is_init_key"):  # a process that starts anew with an episode
             self.env.append_transform(InitTracker())
@@ -121,6 +129,8 @@ class InTurn(Collection):
             reductions = {(METRICS, n): environment.metrics[n].reduce for n in constrained}
             self.env.append_transform(EpisodeValue(reductions))
             self._costs = [(SO_FAR, name) for name in constrained]
+        size = _transition_bytes(self.env, [*inputs, *self._costs]) // settings.num_envs
+        self.interface = Interface(inputs, spec.shape[-1], size)
         self._returns = EpisodeReturns(settings.num_envs)
         self._annealed = 0  # environment steps that the exploration module knows of
 
@@ -205,6 +215,12 @@ class InTurn(Collection):
             self.collector.shutdown()
         else:
             self.env.close()
+
+
+def _transition_bytes(env: EnvBase, kept: Iterable[NestedKey]) -> int:
+    """Return what a transition of all slots takes."""
+    example = env.fake_tensordict().select(*stored_keys(kept))
+    return sum(value.numel() * value.element_size() for value in example.values(True, True))
 
 
 def _fill_in_last_observations(data: TensorDictBase, inputs: Iterable[NestedKey]) -> None:
