@@ -96,7 +96,7 @@ class Trainer:
             self.agent.gamma,
             settings.device,
         )
-        self.store.require_room(interface.transition_bytes)
+        self.store.require_room(self.collection.interface.transition_bytes)
         self.replay = self.store.replay
         self.constraints = Constraints(environment.metrics, settings.constraints, settings.n_step)
         self.evaluator = Evaluator(scenarios or {"training": environment}, settings.evaluation)
