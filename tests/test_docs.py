@@ -25,6 +25,7 @@ from rrl.trainers.cli.new import create
 from rrl.trainers.configuration import build as assembly
 from rrl.trainers.environment import EnvironmentFactory, Input
 from rrl.trainers.export.folder import export_policy
+from rrl.trainers.training.learner import build
 from rrl.transforms import StepLimit
 from toy_envs import PointMass
 
@@ -95,13 +96,16 @@ def test_python_runs(snippet, folder):
 
 @pytest.mark.parametrize("snippet", [*blocks("yaml")])
 def test_yaml_describes_an_environment(snippet):
+    described = yaml.safe_load(snippet)
+    if "algorithm" in described:
+        assert callable(build(described["algorithm"]["agent"]["encoder"] | {"network": None}))
+        return
+    if "inputs" in described:
+        assert all(Input(**(entry or {})) for entry in described["inputs"].values())
+        return
     inputs = {"position": Input(), "goal": Input(), "base_action": Input()}
-    assert (
-        EnvironmentFactory(lambda: None, lambda: None, inputs, **yaml.safe_load(snippet))
-        .symmetry()
-        .num_images
-        > 1
-    )
+    environment = EnvironmentFactory(lambda: None, lambda: None, inputs, **described)
+    assert environment.symmetry().num_images > 1
 
 
 @pytest.mark.parametrize("command", [*commands()])

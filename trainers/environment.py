@@ -19,9 +19,9 @@ from rrl.inputs import Input
 from rrl.keys import ACTION, BASE_ACTION, DIVERGED, PREVIOUS_ACTION, SUCCESS
 from rrl.symmetry import Symmetry, as_map
 from rrl.transforms import ActionHistory, ResidualAction
-from rrl.transforms.base.action_bounds import limits_of
 
-from .entry_checks import check_action, check_number, check_reported
+from .entry_checks import check_action, check_reported
+from .input_entries import as_inputs, read_inputs
 from .metric import Metric
 from .worker_errors import WorkerErrors
 
@@ -94,7 +94,9 @@ class EnvironmentFactory:
             normalized; of a plain list of names all are standardized by the first episodes, unless
             there are ``symmetries``. Beside the environment's own
             there are ``base_action`` and ``previous_action``, what the policy said in the last
-            ``action_history`` steps.
+            ``action_history`` steps. Entries that look like images are read as images.
+        critic_inputs: The entries that the critics read, such as poses that only a simulation
+            knows; None: the same. Critics are not needed where the policy acts.
         disturbances: Make the transforms of the executed action (control noise).
         sensing: Make the transforms of the observation entries (camera noise, latency).
         safety: Make the transforms that limit what reaches the environment.
@@ -117,6 +119,7 @@ class EnvironmentFactory:
     base: Callable[..., EnvBase]
     controller: Callable[[], TensorDictModuleBase]
     inputs: Mapping[str, Input] | Sequence[str]
+    critic_inputs: Mapping[str, Input] | Sequence[str] | None = None
     disturbances: Sequence[Callable[[], Transform]] = ()
     sensing: Sequence[Callable[[], Transform]] = ()
     safety: Sequence[Callable[[], Transform]] = ()
@@ -156,9 +159,10 @@ class EnvironmentFactory:
         for make in (*self.safety, *self.disturbances, *self.sensing):
             env.append_transform(make())
         env.append_transform(ResidualAction(self.controller(), scale=self.residual_scale))
-        if PREVIOUS_ACTION in self.inputs:
+        if PREVIOUS_ACTION in {*self.inputs, *(self.critic_inputs or ())}:
             env.append_transform(ActionHistory(self.action_history))
         self.read_inputs(env)
+        self.read_critic_inputs(env)
         return env
 
     def read_inputs(self, env: EnvBase) -> dict[str, Input]:
@@ -169,26 +173,21 @@ class EnvironmentFactory:
             TypeError: If one of them holds no numbers.
             ValueError: If a center or scale does not fit its entry.
         """
-        spec = env.observation_spec
-        keys = list(spec.keys(True, True))
-        if missing := [name for name in self._inputs() if name not in keys]:
-            raise KeyError(
-                f"inputs: expected entries of the environment, which are {sorted(map(str, keys))}, "
-                f"got {missing[0]!r}"
-            )
-        for name in self._inputs():
-            check_number(f"inputs.{name}", spec[name])
-        inputs = {
-            name: replace(entry, shape=tuple(spec[name].shape[env.ndim :]))
-            for name, entry in (self._inputs() | self._action_inputs(env)).items()
-        }
-        for name, entry in inputs.items():
-            for column in ("loc", "scale"):
-                try:
-                    entry.column(column)
-                except ValueError as error:
-                    raise ValueError(f"inputs.{name}.{error}") from error
-        return inputs
+        return read_inputs("inputs", as_inputs(self.inputs), env)
+
+    def read_critic_inputs(self, env: EnvBase) -> dict[str, Input] | None:
+        """Return the critics' inputs; None if they read what the policy reads.
+
+        Raises:
+            KeyError: See :meth:`read_inputs`.
+            TypeError: See :meth:`read_inputs`.
+            ValueError: See :meth:`read_inputs`.
+        """
+        if self.critic_inputs is None:
+            return None
+        given = as_inputs(self.inputs) | as_inputs(self.critic_inputs)
+        wanted = {name: given[name] for name in self.critic_inputs}
+        return read_inputs("critic_inputs", wanted, env)
 
     def symmetry(self) -> Symmetry | None:
         """Return the symmetry of features and action; None if there are no mirrors.
@@ -203,7 +202,9 @@ class EnvironmentFactory:
         for name, given in self.symmetries.items():
             try:
                 maps = {key: as_map(key, numbers) for key, numbers in given.items()}
-                parts = [self._map(key, entry, maps) for key, entry in self._inputs().items()]
+                parts = [
+                    self._map(key, entry, maps) for key, entry in as_inputs(self.inputs).items()
+                ]
                 mirrors.append((_joined(parts), maps[ACTION]))
             except KeyError as missing:
                 raise ValueError(
@@ -223,26 +224,6 @@ class EnvironmentFactory:
                 f"got {entry.scale}"
             )
         return maps[key]
-
-    def _action_inputs(self, env: EnvBase) -> dict[str, Input]:
-        """Return the inputs that are actions, in half ranges if nothing else is said."""
-        inputs = self._inputs()
-        limits = limits_of(env.base_env.full_action_spec[ACTION])
-        half_range = limits.half_range.reshape(-1, limits.half_range.shape[-1])[0]
-        scales: dict[str, list[float] | float] = {
-            BASE_ACTION: (1.0 / half_range).tolist(),
-            PREVIOUS_ACTION: 1.0,
-        }
-        return {
-            name: replace(inputs[name], scale=scale)
-            for name, scale in scales.items()
-            if name in inputs and inputs[name].is_derived
-        }
-
-    def _inputs(self) -> dict[str, Input]:
-        if isinstance(self.inputs, Mapping):
-            return dict(self.inputs)
-        return {name: Input() for name in self.inputs}
 
     def _make_base(self, num_envs: int, errors: WorkerErrors | None) -> EnvBase:
         if self.batching == "native":
