@@ -62,7 +62,7 @@ class Scripted:
 
     def __call__(self, observation: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return the action ``[4]``, within [-1, 1], for an observation ``[39]``."""
-        seen = observation.astype(np.float64)  # a copy: some policies write into it
+        seen = observation.astype(np.float64)
         for entries in OBJECT:
             seen[entries] += self.object_offset
         action = np.clip(self.policy.get_action(seen), -1.0, 1.0)
