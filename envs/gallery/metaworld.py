@@ -32,6 +32,7 @@ def make(task: str) -> Any:
         raise ValueError(f"task: expected one of {known}, got {task!r}")
     env = tasks[name](seed=0)
     env._freeze_rand_vec = False  # otherwise every episode has the same start
+    env.observation_space = env.sawyer_observation_space  # it was made before the goal was shown
     env.seeded_rand_vec = True  # draw from the environment's generator, not from NumPy's
     return env
 
