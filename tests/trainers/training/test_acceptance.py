@@ -10,7 +10,6 @@ from typing import ClassVar
 import numpy as np
 import pytest
 import torch
-from runs import assert_same
 
 from rrl.algorithms import TD3, mlp
 from rrl.algorithms.networks import last_layer
@@ -19,6 +18,7 @@ from rrl.trainers.evaluation.episodes import write_results
 from rrl.trainers.loggers import read_metrics
 from rrl.trainers.report.tables import notes, one_run, success_rows
 from rrl.trainers.seeds import Stream, first_seed
+from runs import assert_same
 from toy_envs import DRIFT, STEP_SIZE, PointMass
 
 DEFAULT = AcceptanceSettings()
