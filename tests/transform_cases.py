@@ -19,12 +19,14 @@ from rrl.controllers import (
     StatefulController,
     SumController,
 )
+from rrl.interventions import ScriptedOperator
 from rrl.transforms import (
     ActionHistory,
     ControlNoise,
     EpisodeValue,
     FiniteAction,
     ForceLimit,
+    Intervention,
     ObservationDropout,
     ObservationLatency,
     ObservationNoise,
@@ -161,6 +163,15 @@ def residual_history(seed: int | None) -> Transform:
     return Compose(residual(seed), ActionHistory(2))
 
 
+def operated(seed: int | None) -> Transform:
+    """Somebody with a plan of their own takes over the first steps of half of the episodes."""
+    operator = ScriptedOperator(
+        with_memory(), 0.5, steps=4, noise=0.2, reversed_share=0.2, seed=seed
+    )
+    intervention = Intervention(operator, step_limit=[0.2, 0.3])
+    return Compose(intervention, residual_with_plan(seed), ActionHistory(2))
+
+
 def safe_residual(seed: int | None) -> Transform:
     limits = workspace_limit(seed), force_limit(seed), step_limit(seed), finite_action(seed)
     return Compose(*limits, control_noise(seed), residual_with_memory(seed))
@@ -198,6 +209,7 @@ CASES: dict[str, Factory] = {
         action_history,
         episode_value,
         residual_history,
+        operated,
         safe_residual,
         chain,
     )

@@ -161,6 +161,7 @@ class FrameLog:
                 os.truncate(path, start)
             else:
                 path.unlink()
+                self._unsynced.discard(path)
         sync(self.folder)
         self._last = None
 
@@ -169,6 +170,7 @@ class FrameLog:
         for path in self._files():
             if (_number(path) + 1) * self._per_file <= first:
                 path.unlink()
+                self._unsynced.discard(path)
         self._index.forget(first)
 
     def close(self) -> None:

@@ -15,6 +15,7 @@ from rrl.keys import ACTION
 from rrl.n_step import n_step_transitions
 
 from .finite import require_finite
+from .room import require_room
 from .stored_images import StoredImages
 from .transition_log import FOLDER, TransitionLog
 
@@ -81,6 +82,7 @@ class ReplayStore:
     ) -> None:
         self.n_step, self.gamma = n_step, gamma
         self.capacity, self.batch_size = capacity, batch_size
+        self.run_dir, self.device = run_dir, device
         self.replay = TensorDictReplayBuffer(storage=LazyTensorStorage(capacity, device=device))
         self.log = TransitionLog(run_dir / FOLDER)
         self.images = StoredImages(run_dir / FOLDER, device)
@@ -96,6 +98,19 @@ class ReplayStore:
         """Divide ``k`` batches into how many of them should be sampled at once."""
         most = IMAGE_BATCHES if self.images else max(k, 1)
         return [min(most, k - first) for first in range(0, k, most)]
+
+    def require_room(self, transition_bytes: int) -> None:
+        """Refuse a run whose transitions do not fit; the buffer takes its memory with the first.
+
+        Args:
+            transition_bytes: What a transition takes.
+
+        Raises:
+            ValueError: If ``capacity`` of them are more than memory or disk can take.
+        """
+        require_room(
+            self.run_dir, self.capacity, transition_bytes, self.device, on_disk=self.log.count
+        )
 
     def sample(self, k: int) -> TensorDictBase:
         """Draw ``k`` batches uniformly with replacement, ``[k, B]``."""
