@@ -15,7 +15,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.transforms import InitTracker
 from torchrl.envs.utils import ExplorationType
 
-from rrl.inputs import Input
+from rrl.inputs import Input, channels_of
 from rrl.keys import ACTION, METRICS, SO_FAR
 from rrl.slot_random import seed_env
 from rrl.transforms import EpisodeValue
@@ -238,9 +238,13 @@ class InTurn(Collection):
 
 
 def _transition_bytes(env: EnvBase, kept: Iterable[NestedKey]) -> int:
-    """Return what a transition of all slots takes."""
+    """Return what a transition of all slots takes; an image is not stored with what follows too."""
     example = env.fake_tensordict().select(*stored_keys(kept))
-    return sum(value.numel() * value.element_size() for value in example.values(True, True))
+    return sum(
+        value.numel() * value.element_size()
+        for key, value in example.items(True, True)
+        if key[0] != "next" or channels_of(value.shape[env.ndim :], value.dtype) == "none"
+    )
 
 
 def _fill_in_last_observations(data: TensorDictBase, inputs: Iterable[NestedKey]) -> None:

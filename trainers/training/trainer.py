@@ -204,7 +204,7 @@ class Trainer:
         for logger in self.loggers:
             logger.finish()
         self.checkpoints.release()
-        self.store.log.close()
+        self.store.close()
         for close in (self.evaluator.close, self.collection.close):
             try:
                 close()
@@ -260,7 +260,7 @@ class Trainer:
             logger.flush()
         note = {"transitions": self.store.mark(), "config": self.config}
         self.checkpoints.save(self.env_steps, note)
-        self.store.log.forget(self.checkpoints.oldest_transition() - self.store.capacity)
+        self.store.forget(self.checkpoints.oldest_transition() - self.store.capacity)
 
     def _stop_if_asked(self) -> None:
         if self.interruption.signal is not None and not self.collection.is_ahead:
