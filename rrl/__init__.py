@@ -36,12 +36,15 @@ if TYPE_CHECKING:
         ZeroController,
     )
     from rrl.encoders import Concatenate, FrozenEncoder, PixelEncoder, automatic, random_shift
+    from rrl.interventions import InterventionSampler, ScriptedOperator, relabel_interventions
     from rrl.transforms import (
         ActionHistory,
         ControlNoise,
         EpisodeValue,
         FiniteAction,
         ForceLimit,
+        Intervention,
+        ObservationDropout,
         ObservationLatency,
         ObservationNoise,
         ResidualAction,
@@ -69,7 +72,10 @@ __all__ = [
     "ForceLimit",
     "FrozenEncoder",
     "FunctionController",
+    "Intervention",
+    "InterventionSampler",
     "Multiplier",
+    "ObservationDropout",
     "ObservationLatency",
     "ObservationNoise",
     "PIDController",
@@ -79,6 +85,7 @@ __all__ = [
     "ReplayController",
     "ResidualAction",
     "SafetyLimit",
+    "ScriptedOperator",
     "StatefulController",
     "StepLimit",
     "SumController",
@@ -91,10 +98,17 @@ __all__ = [
     "mlp",
     "no_exploration",
     "random_shift",
+    "relabel_interventions",
 ]
 
 _TRAINERS = ("EnvironmentFactory", "Trainer", "TrainerSettings")
-_PACKAGES = ("rrl.controllers", "rrl.encoders", "rrl.transforms", "rrl.algorithms")
+_PACKAGES = (
+    "rrl.controllers",
+    "rrl.encoders",
+    "rrl.transforms",
+    "rrl.algorithms",
+    "rrl.interventions",
+)
 
 
 def __getattr__(name: str) -> Any:

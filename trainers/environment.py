@@ -6,10 +6,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field, model_validator
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.data import Composite
@@ -20,45 +19,15 @@ from rrl.inputs import Input
 from rrl.keys import ACTION, BASE_ACTION, DIVERGED, PREVIOUS_ACTION, SUCCESS
 from rrl.symmetry import Symmetry, as_map
 from rrl.transforms import ActionHistory, ResidualAction
-from rrl.transforms.episode_value import REDUCTIONS
 
 from .entry_checks import check_action, check_reported
 from .input_entries import as_inputs, read_inputs
+from .metric import Metric
 from .worker_errors import WorkerErrors
 
-__all__ = ["Batching", "EnvironmentFactory", "Input", "Metric", "ResumableEnv"]
+__all__ = ["Batching", "EnvironmentFactory", "Input", "ResumableEnv"]
 
 Batching = Literal["native", "serial", "parallel"]
-Reduction = Literal["max", "min", "mean", "sum", "last"]
-
-
-class Metric(BaseModel):
-    """How a quantity that the environment writes under ``("metrics", NAME)`` is reported, and kept.
-
-    Attributes:
-        unit: The unit, for axes and tables.
-        reduce: How the steps of an episode become its one value.
-        budget: What the mean over episodes shall not exceed: the learner keeps to it
-            (:mod:`.training.constraints`), and evaluations say whether it was met. None: any value.
-        limit: What no episode should exceed: evaluations count those that do. It is kept by a
-            safety limit, not by learning.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-    unit: str = ""
-    reduce: Reduction = "mean"
-    budget: Annotated[float, Field(gt=0)] | None = None
-    limit: float | None = None
-
-    @model_validator(mode="after")
-    def _check(self) -> Metric:
-        if self.budget is not None and self.reduce not in REDUCTIONS:
-            raise ValueError(
-                f"budget: expected one of {', '.join(REDUCTIONS)} as reduce, of which a step has a "
-                f"share of its own, got {self.reduce!r}; give the sum a budget instead"
-            )
-        return self
 
 
 class ResumableEnv(TransformedEnv):

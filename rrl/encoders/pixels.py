@@ -12,7 +12,7 @@ from rrl.encoders.interface import Inputs
 from rrl.encoders.shift import random_shift
 from rrl.inputs import Input
 
-__all__ = ["PixelEncoder"]
+__all__ = ["PixelEncoder", "check_layers"]
 
 
 class PixelEncoder(ImagesBesideNumbers):
@@ -44,7 +44,7 @@ class PixelEncoder(ImagesBesideNumbers):
         shift: int = 4,
     ) -> None:
         super().__init__(inputs)
-        _check(channels, kernels, strides, features, shift)
+        check_layers(channels, kernels, strides, features, shift)
         self.features, self.shift = features, shift
         layers = list(zip(channels, kernels, strides, strict=True))
         self.cameras = nn.ModuleList(
@@ -81,13 +81,18 @@ def _camera(entry: Input, layers: list[tuple[int, int, int]], features: int) -> 
     return nn.Sequential(convolutions, nn.Linear(size, features), nn.LayerNorm(features), nn.Tanh())
 
 
-def _check(
+def check_layers(
     channels: Sequence[int],
     kernels: Sequence[int],
     strides: Sequence[int],
     features: int,
     shift: int,
 ) -> None:
+    """Refuse numbers of :class:`PixelEncoder` that are out of range.
+
+    Raises:
+        ValueError: Naming the argument, what was expected and what came.
+    """
     for name, numbers in (("channels", channels), ("kernels", kernels), ("strides", strides)):
         if isinstance(numbers, str) or not all(isinstance(n, int) and n > 0 for n in numbers):
             raise ValueError(f"{name}: expected a list of whole numbers above 0, got {numbers!r}")

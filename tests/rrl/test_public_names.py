@@ -10,7 +10,10 @@ import pytest
 
 import rrl
 
-PACKAGES = ["rrl.algorithms", "rrl.controllers", "rrl.encoders", "rrl.transforms", "rrl.trainers"]
+PACKAGES = [
+    *("rrl.algorithms", "rrl.controllers", "rrl.encoders", "rrl.interventions", "rrl.transforms"),
+    "rrl.trainers",
+]
 
 
 @pytest.mark.parametrize("name", rrl.__all__)

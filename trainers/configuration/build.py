@@ -7,8 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ..environment import EnvironmentFactory, Input, Metric
+from ..environment import EnvironmentFactory, Input
 from ..loggers import MetricsLogger
+from ..metric import Metric
 from ..settings import TrainerSettings
 from ..training.learner import build
 from ..training.progress import Progress

@@ -14,7 +14,8 @@ from torchrl.data import Bounded
 
 from rrl.keys import BASE_ACTION, PREVIOUS_ACTION
 
-from ..environment import Batching, EnvironmentFactory, Input, Metric
+from ..environment import Batching, EnvironmentFactory, Input
+from ..metric import Metric
 from ..settings import Positive, TrainerSettings
 from ..storage.run_files import CONFIG_FILE, seed_directories
 from ..storage.versions import missing

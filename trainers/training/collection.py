@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -15,7 +15,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.transforms import InitTracker
 from torchrl.envs.utils import ExplorationType
 
-from rrl.inputs import Input
+from rrl.inputs import Input, channels_of
 from rrl.keys import ACTION, METRICS, SO_FAR
 from rrl.slot_random import seed_env
 from rrl.transforms import EpisodeValue
@@ -40,17 +40,19 @@ Exploration = Callable[..., TensorDictModuleBase | None]
 
 @dataclass(frozen=True)
 class Interface:
-    """What a learner must know of the environment: inputs, and the action's size.
+    """What a run must know of the environment.
 
     Attributes:
         inputs: Of the policy.
         action_size: Numbers of an action.
         critic_inputs: Of the critics; None: the same.
+        transition_bytes: What a stored transition takes.
     """
 
     inputs: dict[str, Input]
     action_size: int
     critic_inputs: dict[str, Input] | None = None
+    transition_bytes: int = 0
 
     @property
     def entries(self) -> list[str]:
@@ -138,7 +140,7 @@ class InTurn(Collection):
         self.env = environment.make(settings.num_envs)
         seed_env(self.env, first_seed(Stream.TRAINING, settings.seed))
         spec = self.env.full_action_spec[ACTION]
-        self.interface = interface_of(environment, self.env)
+        interface = interface_of(environment, self.env)
         self.exploration = exploration(spec=spec)
         if hasattr(self.exploration, "is_init_key"):  # a process that starts anew with an episode
             self.env.append_transform(InitTracker())
@@ -147,6 +149,8 @@ class InTurn(Collection):
             reductions = {(METRICS, n): environment.metrics[n].reduce for n in constrained}
             self.env.append_transform(EpisodeValue(reductions))
             self._costs = [(SO_FAR, name) for name in constrained]
+        size = _transition_bytes(self.env, [*interface.entries, *self._costs]) // settings.num_envs
+        self.interface = replace(interface, transition_bytes=size)
         self._returns = EpisodeReturns(settings.num_envs)
         self._annealed = 0  # environment steps that the exploration module knows of
 
@@ -231,6 +235,16 @@ class InTurn(Collection):
             self.collector.shutdown()
         else:
             self.env.close()
+
+
+def _transition_bytes(env: EnvBase, kept: Iterable[NestedKey]) -> int:
+    """Return what a transition of all slots takes; an image is not stored with what follows too."""
+    example = env.fake_tensordict().select(*stored_keys(kept))
+    return sum(
+        value.numel() * value.element_size()
+        for key, value in example.items(True, True)
+        if key[0] != "next" or channels_of(value.shape[env.ndim :], value.dtype) == "none"
+    )
 
 
 def _fill_in_last_observations(data: TensorDictBase, inputs: Iterable[NestedKey]) -> None:

@@ -90,12 +90,13 @@ class Trainer:
         self.collection.set_policy(self.agent.policy)
         self.store = ReplayStore(
             self.run_dir,
-            settings.buffer_capacity,
+            settings.kept_transitions,
             settings.batch_size,
             settings.n_step,
             self.agent.gamma,
             settings.device,
         )
+        self.store.require_room(self.collection.interface.transition_bytes)
         self.replay = self.store.replay
         self.constraints = Constraints(environment.metrics, settings.constraints, settings.n_step)
         self.evaluator = Evaluator(scenarios or {"training": environment}, settings.evaluation)
@@ -165,8 +166,7 @@ class Trainer:
 
         Raises:
             Interrupted: If a signal asked for it; the run is saved.
-            FileExistsError: See :meth:`require_new_or_resumed`.
-            BlockingIOError: See :meth:`require_new_or_resumed`.
+            FileExistsError, BlockingIOError: See :meth:`require_new_or_resumed`.
             FloatingPointError: If losses or parameters are not finite; the checkpoint before stays.
         """
         settings = self.settings
@@ -204,7 +204,7 @@ class Trainer:
         for logger in self.loggers:
             logger.finish()
         self.checkpoints.release()
-        self.store.log.close()
+        self.store.close()
         for close in (self.evaluator.close, self.collection.close):
             try:
                 close()
@@ -260,7 +260,7 @@ class Trainer:
             logger.flush()
         note = {"transitions": self.store.mark(), "config": self.config}
         self.checkpoints.save(self.env_steps, note)
-        self.store.log.forget(self.checkpoints.oldest_transition() - self.store.capacity)
+        self.store.forget(self.checkpoints.oldest_transition() - self.store.capacity)
 
     def _stop_if_asked(self) -> None:
         if self.interruption.signal is not None and not self.collection.is_ahead:
