@@ -79,6 +79,7 @@ class Trainer:
         self.interruption = Interruption()
         self.progress = progress or Progress.silent()
         self.stopwatch, self.profile = Stopwatch(), Profile()
+        settings.check_operator(environment.intervention is not None)
         configure_torch(settings)
         self.run_dir.mkdir(parents=True, exist_ok=True)
         collect = InBackground if settings.overlap else InTurn
@@ -96,6 +97,7 @@ class Trainer:
             settings.n_step,
             self.agent.gamma,
             settings.device,
+            settings.intervention_share,
         )
         self.replay = self.store.replay
         self.constraints = Constraints(environment.metrics, settings.constraints, settings.n_step)
