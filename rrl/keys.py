@@ -15,7 +15,10 @@ PREVIOUS_ACTION = "previous_action"
 """What the policy said in the last steps, oldest first."""
 
 OBSERVATION = "observation"
-"""The concatenated vector that actor and critic read."""
+"""The features that the actor reads, and critics too unless they read other entries."""
+
+CRITIC_OBSERVATION = "critic_observation"
+"""The features that only the critics read."""
 
 SUCCESS = "success"
 """Whether the task is solved in this state, bool."""

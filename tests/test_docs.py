@@ -4,22 +4,29 @@ import importlib.util
 import re
 import shlex
 import sys
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
 import nbformat
+import numpy as np
 import pytest
 import yaml
 from hydra import compose, initialize_config_module
 from nbclient import NotebookClient
 from omegaconf import OmegaConf
 
+from agents import random_policy
+from rrl.algorithms import TD3, mlp
 from rrl.controllers import ProportionalController
 from rrl.trainers.cli.compose import plain_name
 from rrl.trainers.cli.main import COMMANDS
 from rrl.trainers.cli.new import create
 from rrl.trainers.configuration import build as assembly
 from rrl.trainers.environment import EnvironmentFactory, Input
+from rrl.trainers.export.folder import export_policy
+from rrl.trainers.training.learner import build
+from rrl.transforms import StepLimit
 from toy_envs import PointMass
 
 ROOT = Path(__file__).parents[1]
@@ -45,11 +52,41 @@ def commands():
                     yield pytest.param(shlex.split(command), id=f"{block.id} {command.strip()}")
 
 
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A point's policy as ``rrl export`` writes it."""
+    point = EnvironmentFactory(
+        base=lambda num_envs=1: PointMass([num_envs]),
+        controller=partial(ProportionalController, gain=1.0),
+        inputs=["end_effector_position", "goal"],
+        safety=[partial(StepLimit, change=0.2)],
+        control_period=0.05,
+    )
+    policy = random_policy(point, partial(TD3, network=partial(mlp, hidden=[8])))
+    exported = tmp_path_factory.mktemp("run") / "export"
+    export_policy(point, policy, exported)
+    return exported
+
+
+class Robot:
+    """Goes where it is told."""
+
+    position = np.zeros(2)
+
+    def observe(self):
+        return self.position, np.ones(2)
+
+    def move(self, command):
+        self.position = self.position + 0.1 * command
+
+
 @pytest.mark.parametrize("snippet", [*blocks("python")])
-def test_python_runs(snippet):
+def test_python_runs(snippet, folder):
     user_has = {
         "base": PointMass([1]),
         "controller": ProportionalController("end_effector_position", gain=1.0),
+        "folder": folder,
+        "robot": Robot(),
     }
     names = dict(user_has)
     exec(compile(snippet, "snippet", "exec"), names)
@@ -59,13 +96,16 @@ def test_python_runs(snippet):
 
 @pytest.mark.parametrize("snippet", [*blocks("yaml")])
 def test_yaml_describes_an_environment(snippet):
+    described = yaml.safe_load(snippet)
+    if "algorithm" in described:
+        assert callable(build(described["algorithm"]["agent"]["encoder"] | {"network": None}))
+        return
+    if "inputs" in described:
+        assert all(Input(**(entry or {})) for entry in described["inputs"].values())
+        return
     inputs = {"position": Input(), "goal": Input(), "base_action": Input()}
-    assert (
-        EnvironmentFactory(lambda: None, lambda: None, inputs, **yaml.safe_load(snippet))
-        .symmetry()
-        .num_images
-        > 1
-    )
+    environment = EnvironmentFactory(lambda: None, lambda: None, inputs, **described)
+    assert environment.symmetry().num_images > 1
 
 
 @pytest.mark.parametrize("command", [*commands()])
@@ -82,7 +122,7 @@ def check_rrl(arguments, tmp_path, monkeypatch):
     command, *rest = arguments
     assert command in COMMANDS
     changes = [a for a in rest if "=" in a and not a.startswith(("run=", "resume="))]
-    if command in ("train", "evaluate", "render"):
+    if command in ("train", "evaluate", "render", "export"):
         assembly.check(composed(changes, tmp_path, monkeypatch))
     elif command == "new":
         assert create(rest[0], tmp_path)

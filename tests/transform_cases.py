@@ -27,6 +27,7 @@ from rrl.transforms import (
     FiniteAction,
     ForceLimit,
     Intervention,
+    ObservationDropout,
     ObservationLatency,
     ObservationNoise,
     ResidualAction,
@@ -123,6 +124,13 @@ def tracker(seed: int | None) -> Transform:
     return ObservationLatency(keys, 1, update_interval=2, dropout=0.4, seed=seed, out_keys=out)
 
 
+def outages(seed: int | None) -> Transform:
+    keys = [POSITION, "goal"]
+    return ObservationDropout(
+        keys, 0.4, steps=2, seed=seed, out_keys=[POSITION, ("camera", "goal")]
+    )
+
+
 def workspace_limit(seed: int | None) -> Transform:
     return WorkspaceLimit(low=-0.3, high=[0.3, 0.4], unit=0.1, delay=1)
 
@@ -193,6 +201,7 @@ CASES: dict[str, Factory] = {
         observation_noise_beside,
         latency,
         tracker,
+        outages,
         workspace_limit,
         step_limit,
         force_limit,

@@ -10,7 +10,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .environment import EnvironmentFactory, Input, Metric
+    from .environment import EnvironmentFactory, Input
+    from .metric import Metric
     from .settings import (
         AcceptanceSettings,
         CheckpointSettings,

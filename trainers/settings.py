@@ -216,6 +216,11 @@ class TrainerSettings(_Settings):
         return self.steps_per_collection * self.num_envs
 
     @property
+    def kept_transitions(self) -> int:
+        """Transitions that the buffer needs room for: no more than the run makes."""
+        return max(1, min(self.buffer_capacity, self.total_steps))
+
+    @property
     def updates_per_round(self) -> int:
         """Updates after each collection."""
         return round(self.steps_per_round * self.updates_per_step)

@@ -49,7 +49,7 @@ def _make(make: Callable[[], EnvBase], report: Path) -> EnvBase:
         def run(*args: Any, **kwargs: Any) -> Any:
             try:
                 return call(*args, **kwargs)
-            except Exception as error:
+            except BaseException as error:  # SystemExit too: the worker ends with it
                 report.write_text(traceback.format_exception_only(error)[-1], encoding="utf-8")
                 raise
 

@@ -6,7 +6,7 @@ from rrl.transforms.episode_value import EpisodeValue
 from rrl.transforms.intervention import Intervention
 from rrl.transforms.residual_action import ResidualAction
 from rrl.transforms.safety import FiniteAction, ForceLimit, SafetyLimit, StepLimit, WorkspaceLimit
-from rrl.transforms.sensing import ObservationLatency, ObservationNoise
+from rrl.transforms.sensing import ObservationDropout, ObservationLatency, ObservationNoise
 
 __all__ = [
     "ActionHistory",
@@ -15,6 +15,7 @@ __all__ = [
     "FiniteAction",
     "ForceLimit",
     "Intervention",
+    "ObservationDropout",
     "ObservationLatency",
     "ObservationNoise",
     "ResidualAction",

@@ -11,7 +11,7 @@ import pytest
 import rrl
 
 PACKAGES = [
-    *("rrl.algorithms", "rrl.controllers", "rrl.interventions", "rrl.transforms"),
+    *("rrl.algorithms", "rrl.controllers", "rrl.encoders", "rrl.interventions", "rrl.transforms"),
     "rrl.trainers",
 ]
 

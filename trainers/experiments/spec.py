@@ -104,8 +104,9 @@ class Settings(_Section):
 
     scale: str
     launcher: Literal["local", "ray"]
-    workers: Annotated[int, Field(gt=0)] | None
+    workers: Annotated[int, Field(ge=0)] | None
     out: str
+    data: str | None = None
     overrides: Overrides = ()
     scales: dict[str, Scale]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import hashlib
 import json
@@ -26,10 +27,20 @@ def write_atomically(path: Path, text: str) -> None:
 
 
 def sync(path: Path) -> None:
-    """Have the disk itself hold a file's content, or a directory's list of names."""
+    """Have the disk itself hold a file's content, or a directory's list of names.
+
+    Some file systems (network shares, FUSE) have no such operation for a directory and say EINVAL;
+    there it is theirs to keep the names.
+
+    Raises:
+        OSError: With the path, if the disk cannot hold it.
+    """
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
+    except OSError as error:
+        if error.errno != errno.EINVAL or not path.is_dir():
+            raise OSError(error.errno, error.strerror, str(path)) from error
     finally:
         os.close(descriptor)
 

@@ -15,6 +15,7 @@ from rrl.keys import ACTION, EXCEEDS_AUTHORITY, INTERVENED, INTERVENTION
 from rrl.n_step import n_step_transitions
 
 from .finite import require_finite
+from .room import require_room
 from .transition_log import FOLDER, TransitionLog
 
 __all__ = ["ReplayStore", "as_stored", "stored_keys"]
@@ -95,6 +96,7 @@ class ReplayStore:
     ) -> None:
         self.n_step, self.gamma = n_step, gamma
         self.capacity, self.batch_size = capacity, batch_size
+        self.run_dir, self.device = run_dir, device
         share = intervention_share
         self.replay = TensorDictReplayBuffer(
             storage=LazyTensorStorage(capacity, device=device),
@@ -108,6 +110,19 @@ class ReplayStore:
     def pending(self) -> int:
         """Transitions in the log that are not in the buffer."""
         return self.log.count - self.count
+
+    def require_room(self, transition_bytes: int) -> None:
+        """Refuse a run whose transitions do not fit; the buffer takes its memory with the first.
+
+        Args:
+            transition_bytes: What a transition takes.
+
+        Raises:
+            ValueError: If ``capacity`` of them are more than memory or disk can take.
+        """
+        require_room(
+            self.run_dir, self.capacity, transition_bytes, self.device, on_disk=self.log.count
+        )
 
     def sample(self, k: int) -> TensorDictBase:
         """Draw ``k`` batches with replacement, ``[k, B]``."""

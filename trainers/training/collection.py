@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.collectors import Collector
+from torchrl.envs import EnvBase
 from torchrl.envs.transforms import InitTracker
 from torchrl.envs.utils import ExplorationType
 
@@ -28,7 +29,7 @@ from .constraints import budgets
 from .episode_state import EpisodeInProgress
 from .profiling import measured, watch_collection
 
-__all__ = ["Collection", "Exploration", "InTurn", "Interface"]
+__all__ = ["Collection", "Exploration", "InTurn", "Interface", "interface_of"]
 
 Metrics = dict[str, float]
 
@@ -39,10 +40,37 @@ Exploration = Callable[..., TensorDictModuleBase | None]
 
 @dataclass(frozen=True)
 class Interface:
-    """What a learner must know of the environment: the policy's inputs, and the action's size."""
+    """What a run must know of the environment.
+
+    Attributes:
+        inputs: Of the policy.
+        action_size: Numbers of an action.
+        critic_inputs: Of the critics; None: the same.
+        transition_bytes: What a stored transition takes.
+    """
 
     inputs: dict[str, Input]
     action_size: int
+    critic_inputs: dict[str, Input] | None = None
+    transition_bytes: int = 0
+
+    @property
+    def entries(self) -> list[str]:
+        """All entries that actor or critics read."""
+        return list(self.inputs | (self.critic_inputs or {}))
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the arguments that a learner is made with."""
+        arguments = {"inputs": self.inputs, "action_size": self.action_size}
+        if self.critic_inputs is not None:
+            arguments["critic_inputs"] = self.critic_inputs
+        return arguments
+
+
+def interface_of(environment: EnvironmentFactory, env: EnvBase) -> Interface:
+    """Return what a learner must know of an environment that the factory has made."""
+    size = env.full_action_spec[ACTION].shape[-1]
+    return Interface(environment.read_inputs(env), size, environment.read_critic_inputs(env))
 
 
 class Collection(ABC):
@@ -112,7 +140,7 @@ class InTurn(Collection):
         self.env = environment.make(settings.num_envs, operated=True)
         seed_env(self.env, first_seed(Stream.TRAINING, settings.seed))
         spec = self.env.full_action_spec[ACTION]
-        self.interface = Interface(environment.read_inputs(self.env), spec.shape[-1])
+        interface = interface_of(environment, self.env)
         self.exploration = exploration(spec=spec)
         if hasattr(self.exploration, "is_init_key"):  # a process that starts anew with an episode
             self.env.append_transform(InitTracker())
@@ -121,6 +149,8 @@ class InTurn(Collection):
             reductions = {(METRICS, n): environment.metrics[n].reduce for n in constrained}
             self.env.append_transform(EpisodeValue(reductions))
             self._costs = [(SO_FAR, name) for name in constrained]
+        size = _transition_bytes(self.env, [*interface.entries, *self._costs]) // settings.num_envs
+        self.interface = replace(interface, transition_bytes=size)
         self._returns = EpisodeReturns(settings.num_envs)
         self._annealed = 0  # environment steps that the exploration module knows of
 
@@ -165,7 +195,7 @@ class InTurn(Collection):
         """Collect now."""
         with torch.no_grad():
             data = self.rollout(env_steps)
-            kept = [*self.interface.inputs, *self._costs]
+            kept = [*self.interface.entries, *self._costs]
             if self.env.__dict__.get("_torchrl_native_autoreset", False):
                 _fill_in_last_observations(data, kept)
             stored = as_stored(data, kept)
@@ -206,6 +236,12 @@ class InTurn(Collection):
             self.collector.shutdown()
         else:
             self.env.close()
+
+
+def _transition_bytes(env: EnvBase, kept: Iterable[NestedKey]) -> int:
+    """Return what a transition of all slots takes."""
+    example = as_stored(env.fake_tensordict(), kept)
+    return sum(value.numel() * value.element_size() for value in example.values(True, True))
 
 
 def _fill_in_last_observations(data: TensorDictBase, inputs: Iterable[NestedKey]) -> None:

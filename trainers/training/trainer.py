@@ -85,20 +85,20 @@ class Trainer:
         collect = InBackground if settings.overlap else InTurn
         explore = exploration or default_exploration()
         self.collection: Collection = collect(settings, environment, explore)
-        interface = self.collection.interface
         make_agent = agent or default_agent(environment)
-        self.agent = make_agent(inputs=interface.inputs, action_size=interface.action_size)
+        self.agent = make_agent(**self.collection.interface.arguments())
         self.agent.to(settings.device)
         self.collection.set_policy(self.agent.policy)
         self.store = ReplayStore(
             self.run_dir,
-            settings.buffer_capacity,
+            settings.kept_transitions,
             settings.batch_size,
             settings.n_step,
             self.agent.gamma,
             settings.device,
             settings.intervention_share,
         )
+        self.store.require_room(self.collection.interface.transition_bytes)
         self.replay = self.store.replay
         self.constraints = Constraints(environment.metrics, settings.constraints, settings.n_step)
         self.evaluator = Evaluator(scenarios or {"training": environment}, settings.evaluation)
@@ -168,8 +168,7 @@ class Trainer:
 
         Raises:
             Interrupted: If a signal asked for it; the run is saved.
-            FileExistsError: See :meth:`require_new_or_resumed`.
-            BlockingIOError: See :meth:`require_new_or_resumed`.
+            FileExistsError, BlockingIOError: See :meth:`require_new_or_resumed`.
             FloatingPointError: If losses or parameters are not finite; the checkpoint before stays.
         """
         settings = self.settings

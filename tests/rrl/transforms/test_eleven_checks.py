@@ -34,6 +34,7 @@ WORKERS = 2
 TIMED = {
     "latency",
     "tracker",
+    "outages",
     "chain",
     "action_history",
     "residual_history",

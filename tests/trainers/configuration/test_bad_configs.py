@@ -33,6 +33,11 @@ BROKEN = {
     "+env.base.clearence=0.1": [BASE, "'clearence'", "clearance"],
     "+env.inputs.goal.mean=0.1": ["env.inputs.goal", "expected loc and scale", "mean"],
     "+env.symmetry={}": ["env.symmetry: unknown key"],
+    "+algorithm.agent.encoder.depth=2": [AGENT, "does not take 'depth'", "channels"],
+    "algorithm.agent.encoder.strides=[4,2]": [AGENT, "expected lists of the same length"],
+    "algorithm.agent.encoder.shift=-1": [AGENT, "shift: expected a whole number"],
+    "+env.inputs.goal.channels=middle": ["env.inputs.goal.channels", "first, last, none"],
+    "+env.critic_inputs.wrench={}": ["env.critic_inputs", "does not have 'wrench'", "force_z"],
     # unknown choices
     "env=insertion-mars": ["insertion-mars"],
     "algorithm=ppo": ["ppo"],

@@ -106,8 +106,8 @@ def test_a_wrong_experiment_is_explained(change, message, points, folders):
     ("changes", "message"),
     [
         ({"scale": "huge"}, "expected one of tiny, got 'huge'"),
-        ({"sclae": "tiny"}, "expected one of scale, launcher, workers, out, got sclae"),
-        ({"workers": 0}, "workers"),
+        ({"sclae": "tiny"}, "expected one of scale, launcher, workers, out, data, got"),
+        ({"workers": -1}, "workers"),
         ({"launcher": "slurm"}, "launcher"),
     ],
 )

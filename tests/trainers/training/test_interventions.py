@@ -34,7 +34,7 @@ def test_what_is_stored_was_executed_and_a_share_is_drawn(make_trainer, operated
     assert 20 < taken.sum() < 120
     assert (stored["exceeds_authority"].squeeze(-1) <= taken).all()
     assert (stored["action"].abs() <= 1).all()
-    assert "intervened" not in trainer.store.sample(1).keys()
+    assert "intervened" not in trainer.store.sample(1)
     torch.manual_seed(0)
     drawn = trainer.replay.sample(32 * 100)["intervened"].reshape(100, 32)
     assert (drawn.sum(-1) >= 8).all()
