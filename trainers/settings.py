@@ -170,6 +170,8 @@ class TrainerSettings(_Settings):
             its collection.
         batch_size: Transitions per update.
         buffer_capacity: Transitions kept for replay.
+        intervention_share: Part of every batch, at least, that comes from steps that an operator
+            has taken over, as soon as there are any.
         overlap: Collect the next round in a second process while this round's updates run; round
             ``k`` then acts with the policy of round ``k - 1``'s start.
         profile: Time the parts of a collection too, and print at the end where a step's time went.
@@ -197,6 +199,7 @@ class TrainerSettings(_Settings):
     n_step: Positive = IN_YAML
     batch_size: Positive = IN_YAML
     buffer_capacity: Positive = IN_YAML
+    intervention_share: Annotated[float, Field(ge=0, le=1)] = IN_YAML
     overlap: bool = IN_YAML
     profile: bool = IN_YAML
     threads: Positive = IN_YAML
@@ -221,6 +224,21 @@ class TrainerSettings(_Settings):
     def updates_per_round(self) -> int:
         """Updates after each collection."""
         return round(self.steps_per_round * self.updates_per_step)
+
+    def check_operator(self, present: bool) -> None:
+        """Refuse a share of every batch from steps that nobody takes over.
+
+        Args:
+            present: Whether there is an operator.
+
+        Raises:
+            ValueError: If there is none, and a share.
+        """
+        if self.intervention_share and not present:
+            raise ValueError(
+                "intervention_share: expected 0 without an operator, got "
+                f"{self.intervention_share}; choose one, such as operator=press-and-drag"
+            )
 
     def derived(self, episode_steps: int) -> TrainerSettings:
         """Return the settings with the lengths that are to be derived.

@@ -10,6 +10,7 @@ __all__ = [
     "CONSTRAINT",
     "EVALUATION",
     "FINAL",
+    "INTERVENTION",
     "LOSS",
     "SAFETY",
     "STEP_AXIS",
@@ -48,6 +49,10 @@ FINAL = "final"
 
 ACTION = "action"
 """Who does the work: ``action/residual_rms``, ``.../residual_share``, ``.../clip_fraction``."""
+
+INTERVENTION = "intervention"
+"""Share of the training steps that an operator has taken over, ``intervention/steps``, and that no
+residual would have given, ``intervention/exceeds``."""
 
 SAFETY = "safety"
 """Share of the training steps in which a limit changed the action: ``safety/workspace``,

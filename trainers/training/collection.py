@@ -23,7 +23,7 @@ from rrl.transforms import EpisodeValue
 from ..environment import EnvironmentFactory
 from ..seeds import Stream, first_seed
 from ..settings import TrainerSettings
-from ..storage.replay_store import stored_keys
+from ..storage.replay_store import as_stored
 from .collection_metrics import EpisodeReturns, collection_metrics
 from .constraints import budgets
 from .episode_state import EpisodeInProgress
@@ -137,7 +137,7 @@ class InTurn(Collection):
         self, settings: TrainerSettings, environment: EnvironmentFactory, exploration: Exploration
     ) -> None:
         self.settings = settings
-        self.env = environment.make(settings.num_envs)
+        self.env = environment.make(settings.num_envs, operated=True)
         seed_env(self.env, first_seed(Stream.TRAINING, settings.seed))
         spec = self.env.full_action_spec[ACTION]
         interface = interface_of(environment, self.env)
@@ -198,8 +198,9 @@ class InTurn(Collection):
             kept = [*self.interface.entries, *self._costs]
             if self.env.__dict__.get("_torchrl_native_autoreset", False):
                 _fill_in_last_observations(data, kept)
+            stored = as_stored(data, kept)
             values = collection_metrics(data, self.env) | self._returns.metrics(data)
-        return data.select(*stored_keys(kept)), values | measured(self.stopwatch)
+        return stored, values | measured(self.stopwatch)
 
     @property
     def can_continue(self) -> bool:
@@ -239,7 +240,7 @@ class InTurn(Collection):
 
 def _transition_bytes(env: EnvBase, kept: Iterable[NestedKey]) -> int:
     """Return what a transition of all slots takes; an image is not stored with what follows too."""
-    example = env.fake_tensordict().select(*stored_keys(kept))
+    example = as_stored(env.fake_tensordict(), kept)
     return sum(
         value.numel() * value.element_size()
         for key, value in example.items(True, True)

@@ -79,6 +79,7 @@ class Trainer:
         self.interruption = Interruption()
         self.progress = progress or Progress.silent()
         self.stopwatch, self.profile = Stopwatch(), Profile()
+        settings.check_operator(environment.intervention is not None)
         configure_torch(settings)
         self.run_dir.mkdir(parents=True, exist_ok=True)
         collect = InBackground if settings.overlap else InTurn
@@ -95,6 +96,7 @@ class Trainer:
             settings.n_step,
             self.agent.gamma,
             settings.device,
+            settings.intervention_share,
         )
         self.store.require_room(self.collection.interface.transition_bytes)
         self.replay = self.store.replay
