@@ -17,6 +17,7 @@ from .insertion.composer_task import InsertionTask
 from .insertion.config import InsertionConfig, make_config
 from .insertion.render import render_composer, render_states
 from .pictures import mujoco_state, render_mujoco
+from .robot import RobotEnv
 
 __all__ = [
     "NAMES",
@@ -25,6 +26,7 @@ __all__ = [
     "InsertionEnv",
     "InsertionTask",
     "RenderingUnavailable",
+    "RobotEnv",
     "gymnasium_env",
     "load",
     "make_config",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,16 +20,16 @@ from rrl.keys import ACTION, METRICS, SO_FAR
 from rrl.slot_random import seed_env
 from rrl.transforms import EpisodeValue
 
-from ..environment import EnvironmentFactory
+from ..environment import EnvironmentFactory, ResumableEnv
 from ..seeds import Stream, first_seed
 from ..settings import TrainerSettings
 from ..storage.replay_store import stored_keys
-from .collection_metrics import EpisodeReturns, collection_metrics
+from .collection_metrics import Authority, EpisodeReturns, collection_metrics
 from .constraints import budgets
 from .episode_state import EpisodeInProgress
 from .profiling import measured, watch_collection
 
-__all__ = ["Collection", "Exploration", "InTurn", "Interface"]
+__all__ = ["Collection", "Exploration", "InTurn", "Interface", "prepare"]
 
 Metrics = dict[str, float]
 
@@ -39,10 +40,40 @@ Exploration = Callable[..., TensorDictModuleBase | None]
 
 @dataclass(frozen=True)
 class Interface:
-    """What a learner must know of the environment: the policy's inputs, and the action's size."""
+    """What a learner must know of the environment.
+
+    Attributes:
+        inputs: The policy's inputs.
+        action_size: Numbers of an action.
+        costs: Entries that constraints are about.
+    """
 
     inputs: dict[str, Input]
     action_size: int
+    costs: tuple[NestedKey, ...] = ()
+
+    @property
+    def kept(self) -> list[NestedKey]:
+        """What is stored of a state."""
+        return [*self.inputs, *self.costs]
+
+
+def prepare(
+    settings: TrainerSettings, environment: EnvironmentFactory, exploration: Exploration
+) -> tuple[ResumableEnv, Interface, TensorDictModuleBase | None]:
+    """Build the training environment, seeded, and the exploration module for it."""
+    env = environment.make(settings.num_envs)
+    seed_env(env, first_seed(Stream.TRAINING, settings.seed))
+    spec = env.full_action_spec[ACTION]
+    explore = exploration(spec=spec)
+    if hasattr(explore, "is_init_key"):  # a process that starts anew with an episode
+        env.append_transform(InitTracker())
+    constrained = budgets(environment.metrics, settings.constraints)
+    if constrained:
+        reductions = {(METRICS, n): environment.metrics[n].reduce for n in constrained}
+        env.append_transform(EpisodeValue(reductions))
+    costs = tuple((SO_FAR, name) for name in constrained)
+    return env, Interface(environment.read_inputs(env), spec.shape[-1], costs), explore
 
 
 class Collection(ABC):
@@ -83,6 +114,10 @@ class Collection(ABC):
     def start_episode(self, seed: int) -> None:
         """Begin the next episode; what is random about it comes from ``seed``."""
 
+    def paused(self) -> AbstractContextManager[None]:
+        """Leave the environment to somebody else while the body runs, such as an evaluation."""
+        return nullcontext()
+
     @abstractmethod
     def state_dict(self) -> dict[str, Any]:
         """Return everything that a checkpoint after this round needs."""
@@ -109,18 +144,7 @@ class InTurn(Collection):
         self, settings: TrainerSettings, environment: EnvironmentFactory, exploration: Exploration
     ) -> None:
         self.settings = settings
-        self.env = environment.make(settings.num_envs)
-        seed_env(self.env, first_seed(Stream.TRAINING, settings.seed))
-        spec = self.env.full_action_spec[ACTION]
-        self.interface = Interface(environment.read_inputs(self.env), spec.shape[-1])
-        self.exploration = exploration(spec=spec)
-        if hasattr(self.exploration, "is_init_key"):  # a process that starts anew with an episode
-            self.env.append_transform(InitTracker())
-        self._costs: list[NestedKey] = []  # what constraints are about
-        if constrained := budgets(environment.metrics, settings.constraints):
-            reductions = {(METRICS, n): environment.metrics[n].reduce for n in constrained}
-            self.env.append_transform(EpisodeValue(reductions))
-            self._costs = [(SO_FAR, name) for name in constrained]
+        self.env, self.interface, self.exploration = prepare(settings, environment, exploration)
         self._returns = EpisodeReturns(settings.num_envs)
         self._annealed = 0  # environment steps that the exploration module knows of
 
@@ -165,10 +189,10 @@ class InTurn(Collection):
         """Collect now."""
         with torch.no_grad():
             data = self.rollout(env_steps)
-            kept = [*self.interface.inputs, *self._costs]
+            kept = self.interface.kept
             if self.env.__dict__.get("_torchrl_native_autoreset", False):
                 _fill_in_last_observations(data, kept)
-            values = collection_metrics(data, self.env) | self._returns.metrics(data)
+            values = collection_metrics(data, Authority.of(self.env)) | self._returns.metrics(data)
         return data.select(*stored_keys(kept)), values | measured(self.stopwatch)
 
     @property
