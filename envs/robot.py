@@ -54,6 +54,7 @@ class RobotEnv(EnvBase):
         self.description, self.episode_steps = self.robot.description, episode_steps
         self.pace = Pace(self.description.period)
         self._steps, self._measured_at = 0, float("-inf")
+        self._connected = True
         self._make_specs()
         self._set_seed(seed)
 
@@ -68,7 +69,8 @@ class RobotEnv(EnvBase):
 
     def close(self, **kwargs: Any) -> None:
         """Stop the robot and close its driver."""
-        if not self.is_closed:
+        if self._connected:
+            self._connected = False
             try:
                 self.robot.stop()
             finally:

@@ -69,7 +69,7 @@ class _Desk:
         if number > last[0]:
             last = number, pack({"number": number, **self._perform(call)})
             self._answered[client] = last
-        if self.faults.active("delay"):
+        if self.faults.active("delay") and call["call"] != "fault":
             self._late.append((time.monotonic() + DELAY, client, last[1]))
         else:
             self.socket.send_multipart([client, last[1]])
