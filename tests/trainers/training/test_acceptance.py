@@ -10,7 +10,6 @@ from typing import ClassVar
 import numpy as np
 import pytest
 import torch
-from runs import assert_same
 
 from rrl.algorithms import TD3, mlp
 from rrl.algorithms.networks import last_layer
@@ -21,6 +20,7 @@ from rrl.trainers.metric import Metric
 from rrl.trainers.report.notes import notes
 from rrl.trainers.report.tables import one_run, success_rows
 from rrl.trainers.seeds import Stream, first_seed
+from runs import assert_same
 from toy_envs import DRIFT, STEP_SIZE, PointMass
 
 DEFAULT = AcceptanceSettings()
