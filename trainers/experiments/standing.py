@@ -107,7 +107,7 @@ def notes(finding: Finding) -> list[str]:
         if count < asked
     )
     times = [run.seconds for outcome in finding.outcomes for run in outcome.runs]
-    whole = f"Finished: {few}." if few else f"Every row is of {asked} seeds."
+    whole = f"Finished: {few}." if few else f"Seeds of every row: {asked}."
     return [
         READING,
         whole,
