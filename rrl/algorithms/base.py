@@ -88,7 +88,7 @@ class Agent(nn.Module, ABC):
         self.action_size, self.symmetry = action_size, symmetry
         self.num_updates = 0
         if symmetry is not None:
-            if self.readings.learn or self.readings.critic is not None:
+            if self.readings.learn or critic_inputs:
                 raise ValueError(
                     "symmetry: expected an encoder that learns nothing and critics that read what "
                     "the policy reads; set use_symmetries to false to learn from images or from "
@@ -120,12 +120,12 @@ class Agent(nn.Module, ABC):
 
     def make_critics(self, count: int) -> list[TensorDictModule]:
         """Make critics from what is read and the action to ``state_action_value`` [*batch, 1]."""
-        read = self.readings.of_critics
-        size = sum(reading.encoder.out_features for reading in read) + self.action_size
+        read = self.readings.critic
+        size = read.encoder.out_features + self.action_size
         networks = [
             self.settings.network(in_features=size, out_features=1).float() for _ in range(count)
         ]
-        keys = [*(reading.key for reading in read), ACTION]
+        keys = [read.key, ACTION]
         return [
             TensorDictModule(n, in_keys=keys, out_keys=["state_action_value"]) for n in networks
         ]
