@@ -19,7 +19,7 @@ from torchrl.envs.transforms import Compose, DoubleToFloat, DTypeCastTransform, 
 from rrl.inputs import Input
 from rrl.keys import ACTION, BASE_ACTION, DIVERGED, PREVIOUS_ACTION, SUCCESS
 from rrl.symmetry import Symmetry, as_map
-from rrl.transforms import ActionHistory, ResidualAction
+from rrl.transforms import ActionHistory, FiniteAction, ResidualAction
 from rrl.transforms.base.action_bounds import limits_of
 from rrl.transforms.episode_value import REDUCTIONS
 
@@ -128,7 +128,8 @@ class EnvironmentFactory:
             ``action_history`` steps.
         disturbances: Make the transforms of the executed action (control noise).
         sensing: Make the transforms of the observation entries (camera noise, latency).
-        safety: Make the transforms that limit what reaches the environment.
+        safety: Make the transforms that limit what reaches the environment; by default no command
+            that is not a number does.
         residual_scale: Authority of the residual, in half ranges of the action, one number or one
             for each dimension.
         batching: ``native`` for an environment with a batch size of its own, ``serial`` to run
@@ -150,7 +151,7 @@ class EnvironmentFactory:
     inputs: Mapping[str, Input] | Sequence[str]
     disturbances: Sequence[Callable[[], Transform]] = ()
     sensing: Sequence[Callable[[], Transform]] = ()
-    safety: Sequence[Callable[[], Transform]] = ()
+    safety: Sequence[Callable[[], Transform]] = (FiniteAction,)
     residual_scale: float | Sequence[float] = 0.5
     batching: Batching = "native"
     max_episode_steps: int = 1000
@@ -204,8 +205,8 @@ class EnvironmentFactory:
         keys = list(spec.keys(True, True))
         if missing := [name for name in self._inputs() if name not in keys]:
             raise KeyError(
-                f"inputs: expected entries of the environment, which are {sorted(map(str, keys))}, "
-                f"got {missing[0]!r}"
+                "inputs: expected entries of the environment, which are "
+                f"{', '.join(sorted(map(str, keys)))}, got {missing[0]!r}"
             )
         for name in self._inputs():
             check_number(f"inputs.{name}", spec[name])
