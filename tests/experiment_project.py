@@ -12,10 +12,10 @@ ENVIRONMENT = """
 import os
 from toy_envs import RememberingPointMass
 
-def make(num_envs=1, seed=0, drift=0.06):
+def make(num_envs=1, seed=0, drift=0.06, dim=2):
     if os.environ.get("BROKEN_DRIFT") == str(drift):
         raise RuntimeError("the arm has come off")
-    return RememberingPointMass([num_envs], seed=seed, drift=drift)
+    return RememberingPointMass([num_envs], seed=seed, drift=drift, dim=dim)
 """
 ENV = {
     "name": "point",
@@ -30,6 +30,7 @@ SETTINGS = {
     "launcher": "local",
     "workers": 2,
     "out": "out",
+    "data": None,
     "overrides": [
         "logger=[csv]",
         "render.enabled=false",

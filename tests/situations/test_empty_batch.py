@@ -38,7 +38,7 @@ def test_trained_tested_handed_over_and_resumed(check_run, factory, overlap):
         acceptance={"episodes": 4, "margin": 0.5, "alpha": 0.5},
         n_step=3,
         profile=True,
-        overlap=overlap,
+        collection="overlap" if overlap else "turn",
     )
     assert resumed.store.n_step == 3
     assert stored["position"].shape == (100, 2)

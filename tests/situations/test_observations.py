@@ -84,9 +84,9 @@ def image(*shape):
 
 
 def test_a_buffer_takes_no_more_than_the_run_makes(check_run, factory):
-    """Ten million transitions of these would be 24 GB."""
+    """Fifty million transitions of these would be 60 GB."""
     environment = factory(partial(Simulator, image(30, 40)), ["image"])
-    check_run(environment, True, buffer_capacity=10_000_000)
+    check_run(environment, True, buffer_capacity=50_000_000)
 
 
 @pytest.mark.parametrize("overlap", [False, pytest.param(True, marks=pytest.mark.slow)])
@@ -94,10 +94,14 @@ def test_a_buffer_that_does_not_fit_into_memory_is_refused_at_once(
     make_trainer, factory, tmp_path, overlap
 ):
     environment = factory(partial(Machine, image(480, 640, 3)), ["image"])
-    many = {"total_steps": 10**9, "buffer_capacity": 10**9, "overlap": overlap}
+    many = {
+        "total_steps": 10**9,
+        "buffer_capacity": 10**9,
+        "collection": "overlap" if overlap else "turn",
+    }
     expected = r"trainer\.buffer_capacity: expected .* the memory of cpu, .* GB, got 1000000000"
     with pytest.raises(
-        ValueError, match=rf"{expected} of 1\.8 MB each, 18432\d\d\.\d GB; keep fewer"
+        ValueError, match=rf"{expected} of 921\.\d kB each, 9216\d\d\.\d GB; keep fewer"
     ):
         make_trainer(environment, **many)
     assert not list((tmp_path / "run").rglob("*.*"))

@@ -17,7 +17,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 from rrl.keys import ACTION, DIVERGED, METRICS, REWARD, SAFETY, SUCCESS
 from rrl.slot_random import seed_env
 
-from ..environment import Metric
+from ..metric import Metric
 from .episodes import Episodes
 
 __all__ = ["isolated_generators", "rollout", "run_episodes", "zero_residual"]
@@ -106,7 +106,8 @@ def run_episodes(
         num_episodes: How many.
         seed: Seed of the first episode.
         max_steps: Bound on an episode's length.
-        metrics: How what the environment writes is reduced; names that are missing get the mean.
+        metrics: How what the environment writes is reduced, and its budget and limit; names that
+            are missing get the mean.
     """
     slots = max(env.batch_size.numel(), 1)
     parts = []
@@ -129,6 +130,7 @@ def run_episodes(
         columns.get(DIVERGED, np.zeros(num_episodes)).astype(bool),
         named(METRICS),
         {limit: count.astype(np.int64) for limit, count in named(SAFETY).items()},
+        metrics or {},
     )
 
 

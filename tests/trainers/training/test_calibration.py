@@ -33,14 +33,14 @@ def test_a_run_writes_what_it_derived(make_trainer):
     )
 
 
-@pytest.mark.parametrize("overlap", [False, True])
+@pytest.mark.parametrize("collection", ["turn", "overlap"])
 @pytest.mark.parametrize("step", [40, 120])
-def test_a_run_that_died_derives_the_same(make_trainer, simulated, step, overlap):
+def test_a_run_that_died_derives_the_same(make_trainer, simulated, step, collection):
     arguments = {
         "agent": DERIVING,
         "warmup_steps": 100,
         "total_steps": 200,
-        "overlap": overlap,
+        "collection": collection,
         "environment": simulated,
     }
     whole = run(make_trainer("whole", **arguments))

@@ -141,13 +141,13 @@ def test_the_shares_of_the_steps_sum_up_to_what_the_episode_is_reported_with(
             start = end
 
 
-@pytest.mark.parametrize("overlap", [False, True])
+@pytest.mark.parametrize("collection", ["turn", "overlap"])
 @pytest.mark.parametrize("n_step", [1, 3])
-def test_a_run_that_died_goes_on_at_the_same_price(make_trainer, factory, n_step, overlap):
+def test_a_run_that_died_goes_on_at_the_same_price(make_trainer, factory, n_step, collection):
     arguments = {
         "environment": environment(factory, effort={"reduce": "max", "budget": 0.3}),
         "n_step": n_step,
-        "overlap": overlap,
+        "collection": collection,
         "checkpoint": CheckpointSettings(every=40),
     }
     whole = run(make_trainer("whole", **arguments))
