@@ -174,6 +174,8 @@ class TrainerSettings(_Settings):
             has taken over, as soon as there are any.
         overlap: Collect the next round in a second process while this round's updates run; round
             ``k`` then acts with the policy of round ``k - 1``'s start.
+        keys: Whether a person may pause, judge and stop by keys, where standard input is a
+            terminal.
         profile: Time the parts of a collection too, and print at the end where a step's time went.
         threads: Torch threads. Products of small networks gain little from a second one, and wait
             long for it where another process is busy.
@@ -201,6 +203,7 @@ class TrainerSettings(_Settings):
     buffer_capacity: Positive = IN_YAML
     intervention_share: Annotated[float, Field(ge=0, le=1)] = IN_YAML
     overlap: bool = IN_YAML
+    keys: bool = IN_YAML
     profile: bool = IN_YAML
     threads: Positive = IN_YAML
     flush_denormals: bool = IN_YAML

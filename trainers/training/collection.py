@@ -21,6 +21,8 @@ from rrl.slot_random import seed_env
 from rrl.transforms import EpisodeValue
 
 from ..environment import EnvironmentFactory
+from ..loggers import metrics
+from ..requests import Request, Requests
 from ..seeds import Stream, first_seed
 from ..settings import TrainerSettings
 from ..storage.replay_store import as_stored
@@ -80,6 +82,12 @@ class Collection(ABC):
     """
 
     interface: Interface
+    requests: Requests
+    """What a person asks of the environments of this process."""
+
+    def tell(self, request: Request) -> None:
+        """Pass on what a person asks for."""
+        self.requests.take(request)
 
     @abstractmethod
     def set_policy(self, policy: TensorDictModuleBase) -> None:
@@ -151,6 +159,8 @@ class InTurn(Collection):
             self._costs = [(SO_FAR, name) for name in constrained]
         size = _transition_bytes(self.env, [*interface.entries, *self._costs]) // settings.num_envs
         self.interface = replace(interface, transition_bytes=size)
+        self.requests = Requests()
+        self.env.listen_to(self.requests)
         self._returns = EpisodeReturns(settings.num_envs)
         self._annealed = 0  # environment steps that the exploration module knows of
 
@@ -200,7 +210,7 @@ class InTurn(Collection):
                 _fill_in_last_observations(data, kept)
             stored = as_stored(data, kept)
             values = collection_metrics(data, self.env) | self._returns.metrics(data)
-        return stored, values | measured(self.stopwatch)
+        return stored, values | measured(self.stopwatch) | metrics.clock(self.env.lap())
 
     @property
     def can_continue(self) -> bool:
