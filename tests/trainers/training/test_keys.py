@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pty
 import select
+import shutil
 import signal
 import subprocess
 import sys
@@ -58,6 +59,7 @@ class Terminal:
 
     def __init__(self, folder: Path, how: str = "works") -> None:
         (folder / "program.py").write_text(PROGRAM)
+        shutil.copy(TESTS / "toy_envs.py", folder)
         self.run, self.said = folder / "run", ""
         self.end, theirs = pty.openpty()
         command = [
@@ -74,7 +76,7 @@ class Terminal:
             stdout=theirs,
             stderr=theirs,
             start_new_session=True,
-            env={**os.environ, "PYTHONPATH": str(TESTS), "OMP_NUM_THREADS": "1"},
+            env={**os.environ, "OMP_NUM_THREADS": "1"},
         )
         self.before = termios.tcgetattr(theirs)
         self.theirs = theirs  # or the terminal would be gone with the process
@@ -188,6 +190,7 @@ def test_ctrl_c_stays_what_it_is(terminal):
 
 
 def test_without_a_terminal_there_are_no_keys(tmp_path):
+    shutil.copy(TESTS / "toy_envs.py", tmp_path)
     (tmp_path / "program.py").write_text(PROGRAM.replace('"total_steps": 2000', '"total_steps": 0'))
     done = subprocess.run(
         [sys.executable, tmp_path / "program.py", tmp_path / "run", "works"],
@@ -195,7 +198,7 @@ def test_without_a_terminal_there_are_no_keys(tmp_path):
         capture_output=True,
         text=True,
         check=True,
-        env={**os.environ, "PYTHONPATH": str(TESTS), "OMP_NUM_THREADS": "1"},
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
     )
     assert "episodes on the environment" in done.stdout
     assert "keys:" not in done.stdout
