@@ -26,6 +26,19 @@ def test_points_are_arms_times_settings(points):
     assert len({p.key for p in found}) == 2
 
 
+@pytest.mark.parametrize(("steps", "fits"), [([100, 200], True), ([150], False), ([300], False)])
+def test_a_table_asks_for_steps_that_are_evaluated(points, folders, steps, fits):
+    content = {**EXPERIMENT, "evaluated_at": steps}
+    write(folders[0] / "experiment/at.yaml", content)
+    if fits:
+        assert points("at")
+    else:
+        with pytest.raises(
+            ValueError, match=rf"at.evaluated_at: .*\(100\) .*\(200\), got {steps[0]}"
+        ):
+            points("at")
+
+
 def test_equal_configurations_share_their_runs(points, folders, tmp_path):
     other = {**EXPERIMENT, "overrides": ["env.base.drift=0.06", "name=another"], "figure": "curves"}
     write(folders[0] / "experiment/same.yaml", {k: v for k, v in other.items() if k != "sweep"})
