@@ -18,7 +18,7 @@ from torchrl.envs.transforms import Compose, DoubleToFloat, DTypeCastTransform, 
 from rrl.inputs import Input
 from rrl.keys import ACTION, BASE_ACTION, DIVERGED, PREVIOUS_ACTION, SUCCESS
 from rrl.symmetry import Symmetry, as_map
-from rrl.transforms import ActionHistory, ResidualAction
+from rrl.transforms import ActionHistory, Intervention, ResidualAction
 
 from .entry_checks import check_action, check_reported
 from .input_entries import as_inputs, read_inputs
@@ -79,7 +79,7 @@ class ResumableEnv(TransformedEnv):
 
 @dataclass(frozen=True)
 class EnvironmentFactory:
-    """Builds environments: ``[safety, disturbances, sensing, residual, memory]`` on a bare one.
+    """Builds environments: ``[safety, disturbances, sensing, operator, residual, memory]``.
 
     The order is the method's: on the way to the policy, sensing faults come before the controller,
     which therefore sees what a real one would see; on the way back the superposition comes first,
@@ -113,6 +113,7 @@ class EnvironmentFactory:
             name. Names that are not here are reported with their mean and without a unit.
         control_period: Seconds from one action to the next; None: what the environment's attribute
             of that name says, or unknown.
+        intervention: Makes the transform through which an operator may take over in training.
         units: What the numbers of ``action`` and of observation entries are counted in, by name.
     """
 
@@ -130,14 +131,19 @@ class EnvironmentFactory:
     symmetries: Mapping[str, Mapping[str, Sequence[int]]] = field(default_factory=dict)
     metrics: Mapping[str, Metric] = field(default_factory=dict)
     control_period: float | None = None
+    intervention: Callable[[], Intervention] | None = None
     units: Mapping[str, str] = field(default_factory=dict)
 
     def with_overrides(self, **overrides: Any) -> EnvironmentFactory:
         """Return the same chain on a base environment with other arguments (another scenario)."""
         return replace(self, base=partial(self.base, **overrides))
 
-    def make(self, num_envs: int = 1) -> ResumableEnv:
+    def make(self, num_envs: int = 1, *, operated: bool = False) -> ResumableEnv:
         """Build the environment with ``num_envs`` slots.
+
+        Args:
+            num_envs: How many.
+            operated: Whether the operator may take over, if there is one: in training alone.
 
         Raises:
             KeyError: If an input or the controller names an entry that the environment lacks, or
@@ -158,6 +164,8 @@ class EnvironmentFactory:
                 env.append_transform(DTypeCastTransform(dtype, torch.bool, in_keys=[key]))
         for make in (*self.safety, *self.disturbances, *self.sensing):
             env.append_transform(make())
+        if operated and self.intervention is not None:
+            env.append_transform(self.intervention())
         env.append_transform(ResidualAction(self.controller(), scale=self.residual_scale))
         if PREVIOUS_ACTION in {*self.inputs, *(self.critic_inputs or ())}:
             env.append_transform(ActionHistory(self.action_history))

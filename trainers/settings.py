@@ -21,6 +21,7 @@ __all__ = [
     "EvaluationSettings",
     "NonNegative",
     "Positive",
+    "RealTimeSettings",
     "TrainerSettings",
     "default_config",
 ]
@@ -150,6 +151,30 @@ class CheckpointSettings(_Settings):
     keep: Positive = IN_YAML
 
 
+class RealTimeSettings(_Settings):
+    """How the environment is stepped in wall-clock time, with ``collection: realtime``.
+
+    Attributes:
+        period: Seconds from one action to the next; None: what the environment says.
+        budget: Share of the period in which the policy has to answer; a step without an answer by
+            then is late.
+        late: What a late step does: ``controller`` acts alone; ``hold`` the last command, as near
+            as the residual's authority allows; ``stop`` the robot, which ends the episode.
+        weights: When the acting process takes over new weights: at the end of every ``episode``, or
+            every so many steps.
+        retry: Seconds between attempts to reset a robot that was stopped by a fault.
+        priority: Real-time priority of the acting process, 1 to 99; 0: none.
+    """
+
+    section = "realtime"
+    period: Annotated[float, Field(gt=0)] | None = IN_YAML
+    budget: Annotated[float, Field(gt=0, le=1)] = IN_YAML
+    late: Literal["controller", "hold", "stop"] = IN_YAML
+    weights: Literal["episode"] | Positive = IN_YAML
+    retry: Annotated[float, Field(gt=0)] = IN_YAML
+    priority: Annotated[int, Field(ge=0, le=99)] = IN_YAML
+
+
 class TrainerSettings(_Settings):
     """The settings of one training run; what is left out is as in ``configs/train.yaml``.
 
@@ -170,8 +195,12 @@ class TrainerSettings(_Settings):
             its collection.
         batch_size: Transitions per update.
         buffer_capacity: Transitions kept for replay.
-        overlap: Collect the next round in a second process while this round's updates run; round
-            ``k`` then acts with the policy of round ``k - 1``'s start.
+        intervention_share: Part of every batch, at least, that comes from steps that an operator
+            has taken over, as soon as there are any.
+        collection: ``turn`` with the updates; ``overlap``: a second process collects the next round
+            meanwhile, and round ``k`` acts with the policy of round ``k - 1``'s start;
+            ``realtime``: a process of its own steps the environment at its control period.
+        realtime: See :class:`RealTimeSettings`.
         profile: Time the parts of a collection too, and print at the end where a step's time went.
         threads: Torch threads. Products of small networks gain little from a second one, and wait
             long for it where another process is busy.
@@ -197,7 +226,9 @@ class TrainerSettings(_Settings):
     n_step: Positive = IN_YAML
     batch_size: Positive = IN_YAML
     buffer_capacity: Positive = IN_YAML
-    overlap: bool = IN_YAML
+    intervention_share: Annotated[float, Field(ge=0, le=1)] = IN_YAML
+    collection: Literal["turn", "overlap", "realtime"] = IN_YAML
+    realtime: RealTimeSettings = IN_YAML
     profile: bool = IN_YAML
     threads: Positive = IN_YAML
     flush_denormals: bool = IN_YAML
@@ -221,6 +252,21 @@ class TrainerSettings(_Settings):
     def updates_per_round(self) -> int:
         """Updates after each collection."""
         return round(self.steps_per_round * self.updates_per_step)
+
+    def check_operator(self, present: bool) -> None:
+        """Refuse a share of every batch from steps that nobody takes over.
+
+        Args:
+            present: Whether there is an operator.
+
+        Raises:
+            ValueError: If there is none, and a share.
+        """
+        if self.intervention_share and not present:
+            raise ValueError(
+                "intervention_share: expected 0 without an operator, got "
+                f"{self.intervention_share}; choose one, such as operator=press-and-drag"
+            )
 
     def derived(self, episode_steps: int) -> TrainerSettings:
         """Return the settings with the lengths that are to be derived.
@@ -259,6 +305,11 @@ class TrainerSettings(_Settings):
             raise ValueError(
                 f"buffer_capacity: expected at least {least}, to hold a batch ({self.batch_size}) "
                 f"and {per_round}, got {self.buffer_capacity}"
+            )
+        if self.collection == "realtime" and (self.num_envs > 1 or self.profile):
+            raise ValueError(
+                "collection: realtime steps one environment and measures its own timing: expected "
+                f"num_envs 1 and profile false, got {self.num_envs} and {self.profile}"
             )
         multiples = {
             "total_steps": self.total_steps,

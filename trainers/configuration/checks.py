@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from torchrl.data import Bounded
 
 from rrl.keys import BASE_ACTION, PREVIOUS_ACTION
@@ -76,6 +76,10 @@ class _InitFrom(_Section):
     run: str | None
 
 
+class _Operator(_Section):
+    intervention: Target | None
+
+
 class _Root(_Section):
     """The configuration's layout; what a ``_target_`` takes is checked with the target itself."""
 
@@ -90,9 +94,15 @@ class _Root(_Section):
     controller: Target
     disturbance: Targets = None
     safety: Targets = None
+    operator: _Operator | None = None
     algorithm: _Algorithm
     init_from: _InitFrom | None = None
     logger: Targets = None
+
+    @model_validator(mode="after")
+    def _check(self) -> _Root:
+        self.trainer.check_operator(bool(self.operator and self.operator.intervention))
+        return self
 
 
 def problems(config: Config) -> list[str]:
@@ -137,6 +147,7 @@ def _check_targets(config: Config, built: dict[str, Any]) -> Problems:
         ("algorithm.exploration", algorithm["exploration"], {"spec": spec}),
     ]
     groups = {"disturbance": config.get("disturbance"), "safety": config.get("safety")}
+    groups |= {"operator": config.get("operator")}
     groups |= {"env.sensing": env.get("sensing"), "logger": config.get("logger")}
     for group, members in groups.items():
         nodes += [(f"{group}.{name}", n, {}) for name, n in (members or {}).items() if n]

@@ -161,7 +161,9 @@ def _points_of(experiment: Experiment, settings: Settings, compose: Compose) -> 
     for name, overrides in experiment.sources.items():
         sources[name] = point(name, overrides, None, False)
     values = sweep.values[settings.scale] if sweep else (None,)
-    arms = [point(arm, o, value, True) for value in values for arm, o in experiment.arms.items()]
+    arms = [
+        point(arm, o, value, True) for value in values for arm, o in experiment.all_arms.items()
+    ]
     return [*sources.values(), *arms]
 
 

@@ -10,7 +10,9 @@ __all__ = [
     "CONSTRAINT",
     "EVALUATION",
     "FINAL",
+    "INTERVENTION",
     "LOSS",
+    "REALTIME",
     "SAFETY",
     "STEP_AXIS",
     "TIME",
@@ -49,9 +51,18 @@ FINAL = "final"
 ACTION = "action"
 """Who does the work: ``action/residual_rms``, ``.../residual_share``, ``.../clip_fraction``."""
 
+INTERVENTION = "intervention"
+"""Share of the training steps that an operator has taken over, ``intervention/steps``, and that no
+residual would have given, ``intervention/exceeds``."""
+
 SAFETY = "safety"
 """Share of the training steps in which a limit changed the action: ``safety/workspace``,
 ``safety/step``, ``safety/force``; in evaluations ``eval/<scenario>/safety_<limit>``."""
+
+REALTIME = "realtime"
+"""Of collection in wall-clock time: ``realtime/period_error_ms_p50``, ``_p99`` and ``_max``, the
+same of ``inference_ms``; ``realtime/missed_deadlines`` and ``.../faults``, counts;
+``.../policy_age``, environment steps since the acting policy's; ``.../reset_seconds``."""
 
 CONSTRAINT = "constraint"
 """Of every quantity with a budget: ``constraint/<name>/multiplier``, the price of one budget, and

@@ -9,9 +9,10 @@ from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
-from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.data import LazyTensorStorage, RandomSampler, TensorDictReplayBuffer
 
-from rrl.keys import ACTION
+from rrl.interventions import InterventionSampler, relabel_interventions
+from rrl.keys import ACTION, EXCEEDS_AUTHORITY, INTERVENED, INTERVENTION
 from rrl.n_step import n_step_transitions
 
 from .finite import require_finite
@@ -19,7 +20,7 @@ from .room import require_room
 from .stored_images import StoredImages
 from .transition_log import FOLDER, TransitionLog
 
-__all__ = ["ReplayStore", "stored_keys"]
+__all__ = ["ReplayStore", "as_stored", "stored_keys"]
 
 log = logging.getLogger(__name__)
 
@@ -33,6 +34,10 @@ IMAGE_BATCHES = 4
 """Batches with images that are sampled at once: their images take more memory than all else."""
 
 
+FLAGS = (INTERVENED, EXCEEDS_AUTHORITY)
+"""Of a transition, where an operator may take over; nothing that is learned from."""
+
+
 def stored_keys(inputs: Iterable[NestedKey]) -> list[NestedKey]:
     """Return what is kept: the *policy's* action, before controller and disturbance.
 
@@ -42,6 +47,22 @@ def stored_keys(inputs: Iterable[NestedKey]) -> list[NestedKey]:
     following = [*inputs, "reward", "done", "terminated"]
     nested = [("next", *([key] if isinstance(key, str) else key)) for key in following]
     return [*inputs, ACTION, *nested]
+
+
+def as_stored(data: TensorDictBase, inputs: Iterable[NestedKey]) -> TensorDictBase:
+    """Return what is kept of collected steps ``[E, T]``.
+
+    Where an operator may take over, the action in ``data`` becomes the residual that was executed,
+    and two flags are kept beside it (:func:`rrl.interventions.relabel_interventions`).
+
+    Args:
+        data: What the environment wrote.
+        inputs: What is kept of a state.
+    """
+    operated = INTERVENTION in data["next"].keys()  # noqa: SIM118 - a TensorDict is no dict
+    if operated:
+        data = relabel_interventions(data)
+    return data.select(*stored_keys(inputs), *(FLAGS if operated else ()))
 
 
 class ReplayStore:
@@ -66,6 +87,8 @@ class ReplayStore:
         n_step: Rewards that a stored transition sums (:func:`rrl.n_step.n_step_transitions`).
         gamma: Their discount.
         device: Where the buffer lies.
+        intervention_share: Part of every batch that comes from steps that an operator has taken
+            over.
 
     Attributes:
         count: Transitions stored so far.
@@ -79,11 +102,16 @@ class ReplayStore:
         n_step: int = 1,
         gamma: float = 1.0,
         device: str = "cpu",
+        intervention_share: float = 0.0,
     ) -> None:
         self.n_step, self.gamma = n_step, gamma
         self.capacity, self.batch_size = capacity, batch_size
         self.run_dir, self.device = run_dir, device
-        self.replay = TensorDictReplayBuffer(storage=LazyTensorStorage(capacity, device=device))
+        share = intervention_share
+        self.replay = TensorDictReplayBuffer(
+            storage=LazyTensorStorage(capacity, device=device),
+            sampler=InterventionSampler(share) if share else RandomSampler(),
+        )
         self.log = TransitionLog(run_dir / FOLDER)
         self.images = StoredImages(run_dir / FOLDER, device)
         self.keys: list[NestedKey] = []
@@ -113,7 +141,7 @@ class ReplayStore:
         )
 
     def sample(self, k: int) -> TensorDictBase:
-        """Draw ``k`` batches uniformly with replacement, ``[k, B]``."""
+        """Draw ``k`` batches with replacement, ``[k, B]``."""
         data = self.replay.sample(k * self.batch_size).select(*self.keys)
         return self.images.get(data).reshape(k, self.batch_size)
 
@@ -230,7 +258,7 @@ class ReplayStore:
         return self.replay[torch.tensor([place % self.capacity for place in places])]
 
     def _extend_buffer(self, transitions: TensorDictBase) -> None:
-        self.keys = list(transitions.keys(True, True))
+        self.keys = [key for key in transitions.keys(True, True) if key not in FLAGS]
         self.replay.extend(transitions)
 
     def _fill(self, first: int, last: int, anew: bool = False) -> TensorDict:

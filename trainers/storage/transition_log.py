@@ -99,6 +99,12 @@ class TransitionLog:
         }
         return TensorDict(fields, [len(records)]), damaged
 
+    def refresh(self) -> int:
+        """Look how many records another process has appended by now; return :attr:`count`."""
+        if self._dtype is not None or (self.folder / SCHEMA).is_file():
+            self._open()
+        return self.count
+
     def sync(self) -> None:
         """Fsync what was appended since the last time."""
         for path in self._unsynced:

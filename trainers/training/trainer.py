@@ -25,10 +25,11 @@ from ..storage.finite import require_finite
 from ..storage.replay_store import ReplayStore
 from ..storage.same_run import require_same_run
 from .acceptance import Acceptance
-from .background_collection import InBackground
-from .collection import Collection, Exploration, InTurn, Metrics
+from .collecting import make_collection
+from .collection import Metrics
 from .constraints import Constraints
 from .counters import Counters
+from .interface import Exploration
 from .interruption import Interruption
 from .learner import default_agent, default_exploration
 from .learning import Learning
@@ -79,11 +80,11 @@ class Trainer:
         self.interruption = Interruption()
         self.progress = progress or Progress.silent()
         self.stopwatch, self.profile = Stopwatch(), Profile()
+        settings.check_operator(environment.intervention is not None)
         configure_torch(settings)
         self.run_dir.mkdir(parents=True, exist_ok=True)
-        collect = InBackground if settings.overlap else InTurn
         explore = exploration or default_exploration()
-        self.collection: Collection = collect(settings, environment, explore)
+        self.collection = make_collection(settings, environment, explore, self.run_dir)
         make_agent = agent or default_agent(environment)
         self.agent = make_agent(**self.collection.interface.arguments())
         self.agent.to(settings.device)
@@ -95,6 +96,7 @@ class Trainer:
             settings.n_step,
             self.agent.gamma,
             settings.device,
+            settings.intervention_share,
         )
         self.store.require_room(self.collection.interface.transition_bytes)
         self.replay = self.store.replay
@@ -277,7 +279,7 @@ class Trainer:
 
     def _evaluate(self) -> None:
         followed, episodes = self.evaluator.followed, self.settings.evaluation.episodes
-        with self.stopwatch("evaluate"):
+        with self.stopwatch("evaluate"), self.collection.paused():
             latest = self.evaluator.compare(self.agent.policy, followed, Stream.FOLLOWING, episodes)
             comparison, tested = self.acceptance.consider(latest, self.env_steps)
         self.progress.show(comparison, self.env_steps)
@@ -288,7 +290,7 @@ class Trainer:
         compare = partial(self.acceptance.handed_over.compare, self.evaluator, self.env_steps)
         for scenario in self.progress.track(self.evaluator.scenarios, "evaluating"):
             self._stop_if_asked()
-            with self.stopwatch("evaluate"):
+            with self.stopwatch("evaluate"), self.collection.paused():
                 results[scenario] = compare(scenario, Stream.FINAL, episodes)
             summary = metrics.evaluation(metrics.FINAL, scenario, results[scenario].summary())
             self._log(summary | measured(self.stopwatch))

@@ -49,6 +49,15 @@ BROKEN = {
     "render.format=avi": ["render.format", "mp4", "avi"],
     "render.scenario=upside_down": ["render.scenario", "misaligned", "upside_down"],
     "render.episode=best": ["render.episode", "rescue", "best"],
+    # an operator
+    "operator=monkey": ["operator", "monkey"],
+    "trainer.intervention_share=0.2": ["expected 0 without an operator", "0.2"],
+    "trainer.intervention_share=1.5": ["trainer.intervention_share", "1.5"],
+    "operator.intervention={_target_:rrl.Intervention,step_limit:0.1}": [
+        "operator.intervention",
+        "needs 'operator'",
+    ],
+    "+operator.speed=1": ["operator.speed: unknown key", "1"],
     # wrong types
     "env.action_history=long": ["env.action_history", "integer", "long"],
     "trainer.num_seeds=two": ["trainer.num_seeds", "integer", "two"],

@@ -4,7 +4,6 @@ from functools import partial
 
 import pytest
 import torch
-from runs import assert_same_run, run, run_until
 from torch import nn
 from torchrl.envs.transforms import CatFrames, PermuteTransform
 from torchrl.modules import AdditiveGaussianModule
@@ -15,6 +14,7 @@ from rrl.controllers import ProportionalController, ZeroController
 from rrl.encoders import FrozenEncoder, automatic
 from rrl.trainers import EnvironmentFactory, Trainer, TrainerSettings
 from rrl.transforms import ObservationDropout, ObservationLatency
+from runs import assert_same_run, run, run_until
 from toy_envs import EPISODE_STEPS
 
 POSITION = "end_effector_position"

@@ -5,11 +5,11 @@ from functools import partial
 
 import pytest
 import torch
-from runs import assert_same_run, run, run_until
 from torchrl.modules import OrnsteinUhlenbeckProcessModule
 
 from rrl.algorithms import DDPG, SAC, TD3, mlp, no_exploration
 from rrl.trainers.settings import CheckpointSettings, EvaluationSettings
+from runs import assert_same_run, run, run_until
 from toy_envs import RememberingPointMass, RemembersAndResetsItself
 
 SMALL = {"network": partial(mlp, hidden=[16]), "gamma": 0.9}
@@ -81,31 +81,31 @@ def broken(make, **arguments):
     return run(trainer)
 
 
-@pytest.mark.parametrize("overlap", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("collection", ["turn", pytest.param("overlap", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("algorithm", LEARNERS)
-def test_a_run_that_dies_at_many_places_is_the_run_that_never_died(make, algorithm, overlap):
-    arguments = {"algorithm": algorithm, "overlap": overlap, "n_step": 2}
+def test_a_run_that_dies_at_many_places_is_the_run_that_never_died(make, algorithm, collection):
+    arguments = {"algorithm": algorithm, "collection": collection, "n_step": 2}
     assert_same_run(run(make("whole", **arguments)), broken(make, **arguments))
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # the compiler warns of its own doings
-@pytest.mark.parametrize("overlap", [False, True])
+@pytest.mark.parametrize("collection", ["turn", "overlap"])
 @pytest.mark.parametrize("algorithm", LEARNERS)
-def test_so_it_is_with_compiled_updates(make, algorithm, overlap):
-    arguments = {"algorithm": algorithm, "overlap": overlap, "compiled": True}
+def test_so_it_is_with_compiled_updates(make, algorithm, collection):
+    arguments = {"algorithm": algorithm, "collection": collection, "compiled": True}
     assert_same_run(run(make("whole", **arguments)), broken(make, **arguments))
 
 
-@pytest.mark.parametrize("overlap", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("collection", ["turn", pytest.param("overlap", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", ENVIRONMENTS)
-def test_so_it_is_with_every_kind_of_environment(make, factory, kind, overlap):
+def test_so_it_is_with_every_kind_of_environment(make, factory, kind, collection):
     base, batching, num_envs = ENVIRONMENTS[kind]
     arguments = {
         "environment": replace(factory, base=base, batching=batching),
         "num_envs": num_envs,
         "steps_per_collection": 10 // num_envs,
-        "overlap": overlap,
+        "collection": collection,
     }
     whole = run(make("whole", **arguments))
     run_until(make("broken", **arguments), "agent.update", 70)
