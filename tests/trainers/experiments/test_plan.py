@@ -26,7 +26,6 @@ def test_points_are_arms_times_settings(points):
     assert len({p.key for p in found}) == 2
 
 
-<<<<<<< HEAD
 @pytest.mark.parametrize(("steps", "fits"), [([100, 200], True), ([150], False), ([300], False)])
 def test_a_table_asks_for_steps_that_are_evaluated(points, folders, steps, fits):
     content = {**EXPERIMENT, "evaluated_at": steps}
@@ -38,7 +37,8 @@ def test_a_table_asks_for_steps_that_are_evaluated(points, folders, steps, fits)
             ValueError, match=rf"at.evaluated_at: .*\(100\) .*\(200\), got {steps[0]}"
         ):
             points("at")
-=======
+
+
 def test_every_change_is_made_on_every_task(points, folders):
     tasks = {"still": ["env.base.drift=0.0"], "drifting": []}
     changes = {"the default": [], "short": ["trainer.n_step=1"]}
@@ -51,7 +51,6 @@ def test_every_change_is_made_on_every_task(points, folders):
     drifts = [found[arm].config["env"]["base"]["drift"] for arm in both]
     assert drifts == [0.0, 0.0, 0.06, 0.06]
     assert found["still, short"].config["trainer"]["n_step"] == 1
->>>>>>> main
 
 
 def test_equal_configurations_share_their_runs(points, folders, tmp_path):
