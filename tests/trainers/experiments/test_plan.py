@@ -195,7 +195,7 @@ def test_every_experiment_is_made_of_valid_runs(scale, source):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["gallery", "ablation"])
+@pytest.mark.parametrize("name", ["gallery", "ablation", "pixels"])
 def test_other_peoples_tasks_are_made_of_valid_runs(name):
     points = paper_points("quick", [name])
     assert len({point.key for point in points}) == len(points)
