@@ -10,12 +10,14 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+
+from rrl.pace import prioritized
 
 from ...environment import EnvironmentFactory
 from ...seeds import Stream, first_seed
@@ -117,9 +119,11 @@ class RealTime(Collection):
         if not self._found:
             self._seed = seed
 
-    def paused(self) -> AbstractContextManager[None]:
-        """Leave the robot to somebody else, once the episode under way has ended."""
-        return self._hand_over.having_robot()
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Have the robot here while the body runs, once the episode under way has ended."""
+        with self._hand_over.having_robot(), prioritized(self.settings.realtime.priority):
+            yield
 
     def state_dict(self) -> dict[str, Any]:
         """Return the running returns; all else is in the process and its log."""
