@@ -144,7 +144,7 @@ def run_episodes(
 
 
 def whole(play: Callable[[], Iterable[T]]) -> list[T]:
-    """Return what ``play`` gives, which is called again where a fault of the robot cuts it short."""
+    """Return what ``play`` gives; it is called again where a fault of the robot cuts it short."""
     while True:
         try:
             return list(play())

@@ -74,10 +74,10 @@ class RealTime(Collection):
         self._seed = first_seed(Stream.TRAINING, settings.seed)
         self._returns = EpisodeReturns(1)
         self._log = TransitionLog(self._hand_over.folder / TRANSITIONS)
-        self._found = self._hand_over.is_alive()
+        self._found = self._finds_process()
         if not self._found:
             self._start()
-        self.interface, self._authority, self.period = self._wait_for("interface")
+        self.interface, self._authority, self._is_robot = self._wait_for("interface")
         self._relayed = self._end_of_messages()
 
     def set_policy(self, policy: TensorDictModuleBase) -> None:
@@ -122,7 +122,8 @@ class RealTime(Collection):
     @contextmanager
     def paused(self) -> Iterator[None]:
         """Have the robot here while the body runs, once the episode under way has ended."""
-        with self._hand_over.having_robot(), prioritized(self.settings.realtime.priority):
+        priority = self.settings.realtime.priority if self._is_robot else 0
+        with self._hand_over.having_robot(), prioritized(priority):
             yield
 
     def state_dict(self) -> dict[str, Any]:
@@ -148,13 +149,24 @@ class RealTime(Collection):
         if self._process is not None:
             self._process.wait()
 
+    def _finds_process(self) -> bool:
+        """Return whether an earlier learner's process acts.
+
+        One that has not begun to, because its learner died before, ends by itself.
+        """
+        while self._hand_over.is_alive():
+            if self._hand_over.has_weights():
+                return True
+            time.sleep(POLL)
+        return False
+
     def _start(self) -> None:
         self._hand_over.clear()
         self._hand_over.write("recipe", self._recipe)
         paths = os.pathsep.join(filter(None, sys.path))
         with (self._hand_over.folder / "log.txt").open("ab") as messages:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", __package__, str(self._hand_over.folder)],
+                [sys.executable, "-m", __package__, str(self._hand_over.folder), str(os.getpid())],
                 stdin=subprocess.DEVNULL,
                 stdout=messages,
                 stderr=messages,
@@ -176,11 +188,8 @@ class RealTime(Collection):
 
     def _require_process(self) -> None:
         """Raise what ended the process, if it has ended."""
-        if self._process is not None:
-            ended = self._process.poll() is not None
-        else:
-            ended = not self._hand_over.is_alive()
-        if not ended:
+        started = self._process is not None and self._process.poll() is None
+        if started or self._hand_over.is_alive():
             return
         if (failure := self._hand_over.read("failure")) is not None:
             error, text = pickle.loads(failure)

@@ -22,7 +22,10 @@ from rrl.trainers.training.realtime.hand_over import HandOver
 SECONDS, STEPS = 0.6, 400
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind",
+    [k if k in ("drop", "die") else pytest.param(k, marks=pytest.mark.slow) for k in KINDS],
+)
 def test_the_loop_stops_says_so_once_keeps_everything_and_goes_on(
     make_trainer, tmp_path, caplog, kind
 ):
@@ -66,7 +69,7 @@ def test_the_loop_stops_says_so_once_keeps_everything_and_goes_on(
     stops = [text for text in said if text.startswith("the robot is stopped")]
     backs = [text for text in said if text.startswith("the robot is back")]
     assert len(stops) == len(backs) >= 1
-    data, damaged = log.read(0, log.count)
+    data, damaged = log.read(0, log.refresh())
     assert len(data) == STEPS
     assert not damaged
     timing = data["timing"]
