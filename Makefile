@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: train test test-slow test-ray lint docs controllers reproduce faults soak studies benchmark latency clean
+.PHONY: train test test-slow test-ray test-gallery lint docs controllers reproduce faults soak studies benchmark latency limits clean
 
 train: $(VENV)/installed            ## train residual TD3 on the misaligned insertion task, five seeds side by side
 	$(BIN)/rrl train trainer.num_seeds=5
@@ -17,6 +17,10 @@ test-slow: $(VENV)/installed        ## long training checks
 test-ray: $(VENV)/installed         ## experiments on a local Ray
 	$(BIN)/pip install --disable-pip-version-check --quiet --constraint constraints.txt --editable ".[ray]"
 	$(BIN)/pytest -m slow -k ray
+
+test-gallery: $(VENV)/installed     ## other people's tasks, whose packages it installs
+	$(BIN)/pip install --disable-pip-version-check --quiet --constraint constraints.txt --editable ".[gallery]"
+	$(BIN)/pytest tests/envs/test_gallery.py
 
 lint: $(VENV)/installed             ## style and types
 	$(BIN)/ruff check .
@@ -48,6 +52,9 @@ benchmark: $(VENV)/installed        ## training speed against Stable-Baselines3,
 
 latency: $(VENV)/installed          ## an exported policy beside the trainer's chain: latency, missed deadlines, memory, frozen episodes
 	$(BIN)/python -W ignore -m benchmarks.deploy
+
+limits: $(VENV)/installed           ## the worst commands that can be thought of, against the safety limits; goes on where it stopped
+	$(BIN)/python -W ignore -m benchmarks.limits --record outputs/limits.jsonl
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)

@@ -11,15 +11,13 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
-from collections.abc import Callable
 from typing import Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
-from torch import Tensor
+from tensordict import TensorDict
 
-from rrl.controllers import ProportionalController
-from rrl.envs import InsertionEnv
+from rrl.controllers import Controller, ProportionalController
+from rrl.envs import InsertionEnv, PressAndDrag
 
 UNIT = 0.02
 """Metres that an action of 1 stands for."""
@@ -65,67 +63,13 @@ def rows() -> list[Row]:
     ]
 
 
-Policy = Callable[[TensorDictBase, int], Tensor]
-"""From the observation and the step within the episode to the action [B, 3]."""
+def make_policy(row: Row) -> Controller:
+    """Return the paper's pi_H, u = clip(K (x_g - x), +-0.5) with K = 25 / m, or the script.
 
-
-def hand_controller() -> Policy:
-    """Return the paper's pi_H: u = clip(K (x_g - x), +-0.5) with K = 25 / m."""
-    controller = ProportionalController(gain=0.5, clip=0.5, unit=UNIT)
-    return lambda observation, step: controller.act(observation)
-
-
-@dataclasses.dataclass(frozen=True)
-class PressAndDrag:
-    """A fixed sequence: press on one standing block at a time, drag it outwards, then insert.
-
-    Friction between held block and standing block is larger than below the standing block, so it
-    follows. Lengths in metres.
+    Where the arm is compliant, the script presses harder and drags further.
     """
-
-    press: float
-    """Action along z while dragging, 0 to 1 downwards."""
-    reach: float = 0.02
-    """Distance from the goal, along x, where the tool comes down."""
-    drag: float = 0.018
-    """Length of the drag."""
-    rest: float = 0.08
-    """Height of the tool above its goal when the held block rests on the standing blocks."""
-    clearance: float = 0.01
-    durations: tuple[int, int, int, int, int] = (7, 6, 6, 6, 6)
-    """Steps: approach, drag right, cross over, drag left, return; then the insertion."""
-
-    def __call__(self, observation: TensorDictBase, step: int) -> Tensor:
-        """Return the action [B, 3]."""
-        error = observation["goal"] - observation["end_effector_position"]
-        x, z = self._target(step)
-        action = error / UNIT
-        action[:, 0] = ((error[:, 0] + x) / UNIT).clamp(-0.8, 0.8)
-        action[:, 1] = (0.4 * action[:, 1]).clamp(-0.5, 0.5)
-        action[:, 2] = -self.press if z is None else (error[:, 2] + z) / UNIT
-        return action.clamp(-1, 1)
-
-    def _target(self, step: int) -> tuple[float, float | None]:
-        """Return the position relative to the goal (x, z); z ``None`` means press."""
-        ends = [sum(self.durations[: i + 1]) for i in range(5)]
-        far, above = self.reach + self.drag, self.rest + self.clearance
-        if step < ends[0]:
-            return self.reach, self.rest + self.clearance / 2
-        if step < ends[1]:
-            return far, None
-        if step < ends[2]:
-            return (far if step < ends[1] + 2 else -self.reach), above  # up first, then across
-        if step < ends[3]:
-            return -far, None
-        if step < ends[4]:
-            return (-far if step < ends[3] + 2 else 0.0), above
-        return 0.0, 0.0
-
-
-def make_policy(row: Row) -> Policy:
-    """Return the policy of a row; the compliant variant presses harder and lags behind."""
     if row.policy == "hand controller":
-        return hand_controller()
+        return ProportionalController(gain=0.5, clip=0.5, unit=UNIT)
     return PressAndDrag(press=0.5) if row.variant == "sim" else PressAndDrag(press=1.0, drag=0.03)
 
 
@@ -141,8 +85,9 @@ def run(row: Row, episodes: int, num_envs: int, threads: int, seed: int) -> tupl
     batches = math.ceil(episodes / num_envs)
     for _ in range(batches):
         observation = env.reset()
-        for step in range(env.config.episode_length):
-            action = policy(observation, step)
+        policy.reset()
+        for _ in range(env.config.episode_length):
+            action = policy.act(observation)
             noise = torch.randn(action.shape, generator=generator) * deviation + mean
             action = (action + noise).clamp(-1, 1)
             observation = env.step(TensorDict({"action": action}, env.batch_size))["next"]

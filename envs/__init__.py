@@ -15,6 +15,8 @@ from .insertion.batched_env import InsertionEnv
 from .insertion.composer_env import NAMES, load
 from .insertion.composer_task import InsertionTask
 from .insertion.config import InsertionConfig, make_config
+from .insertion.pixels_env import InsertionPixelsEnv
+from .insertion.press_and_drag import PressAndDrag
 from .insertion.render import render_composer, render_states
 from .pictures import mujoco_state, render_mujoco
 from .robot import RobotEnv
@@ -24,7 +26,9 @@ __all__ = [
     "ComposerEnv",
     "InsertionConfig",
     "InsertionEnv",
+    "InsertionPixelsEnv",
     "InsertionTask",
+    "PressAndDrag",
     "RenderingUnavailable",
     "RobotEnv",
     "gymnasium_env",

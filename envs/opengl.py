@@ -60,8 +60,9 @@ def find_backend() -> str:
         reasons.append(f"{backend}: {(probe.stderr.strip().splitlines() or ['no message'])[-1]}")
     raise RenderingUnavailable(
         f"MUJOCO_GL: expected a backend that renders on this machine, got {wanted!r} "
-        f"({'; '.join(reasons)}). Training and evaluation need none. To render, install one, on "
-        "Debian or Ubuntu for instance `apt-get install libegl1 libgl1-mesa-dri` for EGL or "
+        f"({'; '.join(reasons)}). Only videos and environments with a camera need "
+        "one. Install one, on Debian or Ubuntu for instance "
+        "`apt-get install libegl1 libgl1-mesa-dri` for EGL or "
         "`apt-get install libosmesa6` for OSMesa."
     )
 

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
         Adam,
         Agent,
         AgentSettings,
-        Concatenate,
         EnsembleSACLoss,
         EnsembleTD3Loss,
         Multiplier,
@@ -36,12 +35,16 @@ if TYPE_CHECKING:
         SumController,
         ZeroController,
     )
+    from rrl.encoders import Concatenate, FrozenEncoder, PixelEncoder, automatic, random_shift
+    from rrl.interventions import InterventionSampler, ScriptedOperator, relabel_interventions
     from rrl.transforms import (
         ActionHistory,
         ControlNoise,
         EpisodeValue,
         FiniteAction,
         ForceLimit,
+        Intervention,
+        ObservationDropout,
         ObservationLatency,
         ObservationNoise,
         ResidualAction,
@@ -67,16 +70,22 @@ __all__ = [
     "EpisodeValue",
     "FiniteAction",
     "ForceLimit",
+    "FrozenEncoder",
     "FunctionController",
+    "Intervention",
+    "InterventionSampler",
     "Multiplier",
+    "ObservationDropout",
     "ObservationLatency",
     "ObservationNoise",
     "PIDController",
+    "PixelEncoder",
     "PolicyController",
     "ProportionalController",
     "ReplayController",
     "ResidualAction",
     "SafetyLimit",
+    "ScriptedOperator",
     "StatefulController",
     "StepLimit",
     "SumController",
@@ -85,12 +94,21 @@ __all__ = [
     "TrainerSettings",
     "WorkspaceLimit",
     "ZeroController",
+    "automatic",
     "mlp",
     "no_exploration",
+    "random_shift",
+    "relabel_interventions",
 ]
 
 _TRAINERS = ("EnvironmentFactory", "Trainer", "TrainerSettings")
-_PACKAGES = ("rrl.controllers", "rrl.transforms", "rrl.algorithms")
+_PACKAGES = (
+    "rrl.controllers",
+    "rrl.encoders",
+    "rrl.transforms",
+    "rrl.algorithms",
+    "rrl.interventions",
+)
 
 
 def __getattr__(name: str) -> Any:

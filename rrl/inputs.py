@@ -5,33 +5,54 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import torch
 from torch import Tensor
 
-__all__ = ["Input"]
+__all__ = ["Channels", "Input", "channels_of"]
+
+Channels = Literal["first", "last", "none"]
+"""Where an image has its channels; ``none``: the entry is no image, but numbers."""
 
 
 @dataclass(frozen=True)
 class Input:
-    """One observation entry, normalized as ``(value - loc) * scale``.
+    """One observation entry; numbers are normalized as ``(value - loc) * scale``.
 
-    An entry with neither is standardized by what the first episodes show.
+    An entry with neither is standardized by what the first episodes show. An image has no center
+    and scale of its own.
 
     Args:
         loc: Center, one number or one for each of the entry's numbers; None: 0.
         scale: Factor, one number or one for each of the entry's numbers; None: 1.
         shape: Shape of the entry without batch dimensions; filled in from the environment.
+        channels: Where an image has its channels, ``first`` or ``last``, or ``none`` for numbers;
+            None: filled in from the environment by :func:`channels_of`.
+
+    Raises:
+        ValueError: If ``channels`` is something else.
     """
 
     loc: float | Sequence[float] | None = None
     scale: float | Sequence[float] | None = None
     shape: tuple[int, ...] = ()
+    channels: Channels | None = None
+
+    def __post_init__(self) -> None:
+        if self.channels not in (None, *get_args(Channels)):
+            choices = ", ".join(get_args(Channels))
+            raise ValueError(f"channels: expected one of {choices}, got {self.channels!r}")
 
     @property
     def size(self) -> int:
         """How many numbers the entry has."""
         return math.prod(self.shape)
+
+    @property
+    def is_image(self) -> bool:
+        """Whether the entry is read as an image."""
+        return self.channels in ("first", "last")
 
     @property
     def is_derived(self) -> bool:
@@ -56,3 +77,20 @@ class Input:
         if not value.isfinite().all():
             raise ValueError(f"{field}: expected finite numbers, got {getattr(self, field)!r}")
         return value.expand(self.size)
+
+
+def channels_of(shape: Sequence[int], dtype: torch.dtype) -> Channels:
+    """Return where an entry has its channels, if it is an image by its looks.
+
+    An entry of bytes (uint8) with at least three dimensions is one: ``[..., H, W, C]`` or
+    ``[..., C, H, W]``. Of the last three dimensions the channels are the first or the last,
+    whichever is smaller, and the last of two that are equal. Whatever stands before the last three
+    are frames, which are channels too.
+
+    Args:
+        shape: Of the entry, without batch dimensions.
+        dtype: Of the entry.
+    """
+    if dtype != torch.uint8 or len(shape) < 3:
+        return "none"
+    return "first" if shape[-3] < shape[-1] else "last"

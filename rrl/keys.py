@@ -15,7 +15,10 @@ PREVIOUS_ACTION = "previous_action"
 """What the policy said in the last steps, oldest first."""
 
 OBSERVATION = "observation"
-"""The concatenated vector that actor and critic read."""
+"""The features that the actor reads, and critics too unless they read other entries."""
+
+CRITIC_OBSERVATION = "critic_observation"
+"""The features that only the critics read."""
 
 SUCCESS = "success"
 """Whether the task is solved in this state, bool."""
@@ -37,3 +40,19 @@ METRICS = "metrics"
 
 SO_FAR = "so_far"
 """Nested entry with what each constrained metric has come to in the episode so far."""
+
+OPERATOR_ACTION = "operator_action"
+"""What an operator commands, in the environment's action units."""
+
+TAKEN_OVER = "taken_over"
+"""Whether an operator has taken over, bool."""
+
+INTERVENTION = "intervention"
+"""Nested entry about the last step: ``active`` and ``exceeds``, bool, and ``action``, the residual
+that would have given what was commanded."""
+
+INTERVENED = "intervened"
+"""Whether this transition's command was an operator's, bool."""
+
+EXCEEDS_AUTHORITY = "exceeds_authority"
+"""Whether no residual would have given this transition's command, bool."""

@@ -1,5 +1,6 @@
 """A small project with a fast environment and one experiment, for the tests of `rrl reproduce`."""
 
+import shutil
 from pathlib import Path
 
 import yaml
@@ -11,10 +12,10 @@ ENVIRONMENT = """
 import os
 from toy_envs import RememberingPointMass
 
-def make(num_envs=1, seed=0, drift=0.06):
+def make(num_envs=1, seed=0, drift=0.06, dim=2):
     if os.environ.get("BROKEN_DRIFT") == str(drift):
         raise RuntimeError("the arm has come off")
-    return RememberingPointMass([num_envs], seed=seed, drift=drift)
+    return RememberingPointMass([num_envs], seed=seed, drift=drift, dim=dim)
 """
 ENV = {
     "name": "point",
@@ -29,6 +30,7 @@ SETTINGS = {
     "launcher": "local",
     "workers": 2,
     "out": "out",
+    "data": None,
     "overrides": [
         "logger=[csv]",
         "render.enabled=false",
@@ -63,3 +65,12 @@ EXPERIMENT = {
 def write(path, content):
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(yaml.safe_dump(content, sort_keys=False))
+
+
+def write_project(folder):
+    """Write environment, settings and experiment below a folder that is there."""
+    (folder / "point.py").write_text(ENVIRONMENT)
+    shutil.copy(TESTS / "toy_envs.py", folder)
+    write(folder / "configs/env/point.yaml", ENV)
+    write(folder / "configs/reproduce.yaml", SETTINGS)
+    write(folder / "configs/experiment/drift.yaml", EXPERIMENT)

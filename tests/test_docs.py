@@ -4,37 +4,46 @@ import importlib.util
 import re
 import shlex
 import sys
+from dataclasses import replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
 import nbformat
+import numpy as np
 import pytest
 import yaml
 from hydra import compose, initialize_config_module
 from nbclient import NotebookClient
 from omegaconf import OmegaConf
 
+from agents import random_policy
+from rrl.algorithms import TD3, mlp
 from rrl.controllers import ProportionalController
 from rrl.trainers.cli.compose import plain_name
 from rrl.trainers.cli.main import COMMANDS
 from rrl.trainers.cli.new import create
 from rrl.trainers.configuration import build as assembly
 from rrl.trainers.environment import EnvironmentFactory, Input
+from rrl.trainers.export.folder import export_policy
+from rrl.trainers.training.learner import build
+from rrl.transforms import StepLimit
 from toy_envs import PointMass
 
+EXTRAS = {"metaworld": "metaworld", "fetch": "gymnasium_robotics", "robosuite": "robosuite"}
+"""Modules of rrl.envs.gallery, and the packages that they need."""
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", ROOT / "examples/README.md", *sorted((ROOT / "docs").glob("*.md"))]
 TUTORIAL = ROOT / "docs/tutorial.ipynb"
 
 
-RUN_ELSEWHERE = {
-    ("python", "robot.md")
-}  # tests/test_robot_page.py: they need a plant, and one another
+RUN_ELSEWHERE = {("python", "robot.md")}
+"""tests/test_robot_page.py runs these: they need a plant, and one another."""
 
 
-def blocks(language):
-    """Fenced blocks of every document, named by their place."""
-    for document in DOCUMENTS:
+def blocks(language, documents=DOCUMENTS):
+    """Fenced blocks of documents, named by their place."""
+    for document in documents:
         if (language, document.name) in RUN_ELSEWHERE:
             continue
         text = document.read_text()
@@ -52,27 +61,87 @@ def commands():
                     yield pytest.param(shlex.split(command), id=f"{block.id} {command.strip()}")
 
 
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A point's policy as ``rrl export`` writes it."""
+    point = EnvironmentFactory(
+        base=lambda num_envs=1: PointMass([num_envs]),
+        controller=partial(ProportionalController, gain=1.0),
+        inputs=["end_effector_position", "goal"],
+        safety=[partial(StepLimit, change=0.2)],
+        control_period=0.05,
+    )
+    policy = random_policy(point, partial(TD3, network=partial(mlp, hidden=[8])))
+    exported = tmp_path_factory.mktemp("run") / "export"
+    export_policy(point, policy, exported)
+    return exported
+
+
+class Robot:
+    """Goes where it is told."""
+
+    position = np.zeros(2)
+
+    def observe(self):
+        return self.position, np.ones(2)
+
+    def move(self, command):
+        self.position = self.position + 0.1 * command
+
+
 @pytest.mark.parametrize("snippet", [*blocks("python")])
-def test_python_runs(snippet):
+@pytest.mark.filterwarnings("ignore:::(?!rrl)")  # the gallery's packages warn of one another
+def test_python_runs(snippet, folder, tmp_path):
+    for module in re.findall(r"from rrl.envs.gallery import (\w+)", snippet):
+        pytest.importorskip(EXTRAS[module], exc_type=ImportError)
     user_has = {
         "base": PointMass([1]),
         "controller": ProportionalController("end_effector_position", gain=1.0),
+        "folder": folder,
+        "robot": Robot(),
     }
     names = dict(user_has)
     exec(compile(snippet, "snippet", "exec"), names)
     if "env" in names:
         assert names["env"].rollout(2)["base_action"].shape[-1] > 0
+    if "environment" in names:
+        check_played(names["environment"], tmp_path)
+
+
+def check_played(environment, folder):
+    """The document's first snippet plays an episode of the controller; nothing is learned."""
+    environment = replace(environment, max_episode_steps=10)  # of an evaluation
+    names = {}
+    exec(next(blocks("python", [ROOT / "docs/your_task.md"])).values[0], names)
+    few = {"every": 0, "episodes": 1, "final_episodes": 1}
+    summary = names["train"](environment, folder, total_steps=0, evaluation=few)
+    assert summary["return"] == summary["controller_return"]
+
+
+def lines_of_the_user(snippet):
+    """Lines but imports, comments, and brackets alone."""
+    lines = (line.split("#")[0].strip(" )]},") for line in snippet.splitlines())
+    return [line for line in lines if line and not line.startswith(("import ", "from "))]
+
+
+@pytest.mark.parametrize("snippet", [*blocks("python", [ROOT / "docs/your_task.md"])])
+def test_twelve_lines_are_enough_for_a_task(snippet):
+    assert len(lines_of_the_user(snippet)) <= 12
+    assert "class" not in snippet
 
 
 @pytest.mark.parametrize("snippet", [*blocks("yaml")])
 def test_yaml_describes_an_environment(snippet):
+    described = yaml.safe_load(snippet)
+    if "algorithm" in described:
+        assert callable(build(described["algorithm"]["agent"]["encoder"] | {"network": None}))
+        return
+    if "inputs" in described:
+        assert all(Input(**(entry or {})) for entry in described["inputs"].values())
+        return
     inputs = {"position": Input(), "goal": Input(), "base_action": Input()}
-    assert (
-        EnvironmentFactory(lambda: None, lambda: None, inputs, **yaml.safe_load(snippet))
-        .symmetry()
-        .num_images
-        > 1
-    )
+    environment = EnvironmentFactory(lambda: None, lambda: None, inputs, **described)
+    assert environment.symmetry().num_images > 1
 
 
 @pytest.mark.parametrize("command", [*commands()])

@@ -19,12 +19,15 @@ from rrl.controllers import (
     StatefulController,
     SumController,
 )
+from rrl.interventions import ScriptedOperator
 from rrl.transforms import (
     ActionHistory,
     ControlNoise,
     EpisodeValue,
     FiniteAction,
     ForceLimit,
+    Intervention,
+    ObservationDropout,
     ObservationLatency,
     ObservationNoise,
     ResidualAction,
@@ -121,6 +124,13 @@ def tracker(seed: int | None) -> Transform:
     return ObservationLatency(keys, 1, update_interval=2, dropout=0.4, seed=seed, out_keys=out)
 
 
+def outages(seed: int | None) -> Transform:
+    keys = [POSITION, "goal"]
+    return ObservationDropout(
+        keys, 0.4, steps=2, seed=seed, out_keys=[POSITION, ("camera", "goal")]
+    )
+
+
 def workspace_limit(seed: int | None) -> Transform:
     return WorkspaceLimit(low=-0.3, high=[0.3, 0.4], unit=0.1, delay=1)
 
@@ -153,6 +163,15 @@ def residual_history(seed: int | None) -> Transform:
     return Compose(residual(seed), ActionHistory(2))
 
 
+def operated(seed: int | None) -> Transform:
+    """Somebody with a plan of their own takes over the first steps of half of the episodes."""
+    operator = ScriptedOperator(
+        with_memory(), 0.5, steps=4, noise=0.2, reversed_share=0.2, seed=seed
+    )
+    intervention = Intervention(operator, step_limit=[0.2, 0.3])
+    return Compose(intervention, residual_with_plan(seed), ActionHistory(2))
+
+
 def safe_residual(seed: int | None) -> Transform:
     limits = workspace_limit(seed), force_limit(seed), step_limit(seed), finite_action(seed)
     return Compose(*limits, control_noise(seed), residual_with_memory(seed))
@@ -182,6 +201,7 @@ CASES: dict[str, Factory] = {
         observation_noise_beside,
         latency,
         tracker,
+        outages,
         workspace_limit,
         step_limit,
         force_limit,
@@ -189,6 +209,7 @@ CASES: dict[str, Factory] = {
         action_history,
         episode_value,
         residual_history,
+        operated,
         safe_residual,
         chain,
     )

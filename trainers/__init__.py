@@ -10,7 +10,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .environment import EnvironmentFactory, Input, Metric
+    from .environment import EnvironmentFactory, Input
+    from .metric import Metric
     from .settings import (
         AcceptanceSettings,
         CheckpointSettings,
@@ -36,7 +37,7 @@ _MODULES = {
     "EnvironmentFactory": ".environment",
     "EvaluationSettings": ".settings",
     "Input": ".environment",
-    "Metric": ".environment",
+    "Metric": ".metric",
     "Trainer": ".training.trainer",
     "TrainerSettings": ".settings",
 }

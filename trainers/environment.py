@@ -6,10 +6,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field, model_validator
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.data import Composite
@@ -19,46 +18,16 @@ from torchrl.envs.transforms import Compose, DoubleToFloat, DTypeCastTransform, 
 from rrl.inputs import Input
 from rrl.keys import ACTION, BASE_ACTION, DIVERGED, PREVIOUS_ACTION, SUCCESS
 from rrl.symmetry import Symmetry, as_map
-from rrl.transforms import ActionHistory, ResidualAction
-from rrl.transforms.base.action_bounds import limits_of
-from rrl.transforms.episode_value import REDUCTIONS
+from rrl.transforms import ActionHistory, Intervention, ResidualAction
 
-from .entry_checks import check_action, check_number, check_reported
+from .entry_checks import check_action, check_reported
+from .input_entries import as_inputs, read_inputs
+from .metric import Metric
 from .worker_errors import WorkerErrors
 
-__all__ = ["Batching", "EnvironmentFactory", "Input", "Metric", "ResumableEnv"]
+__all__ = ["Batching", "EnvironmentFactory", "Input", "ResumableEnv"]
 
 Batching = Literal["native", "serial", "parallel"]
-Reduction = Literal["max", "min", "mean", "sum", "last"]
-
-
-class Metric(BaseModel):
-    """How a quantity that the environment writes under ``("metrics", NAME)`` is reported, and kept.
-
-    Attributes:
-        unit: The unit, for axes and tables.
-        reduce: How the steps of an episode become its one value.
-        budget: What the mean over episodes shall not exceed: the learner keeps to it
-            (:mod:`.training.constraints`), and evaluations say whether it was met. None: any value.
-        limit: What no episode should exceed: evaluations count those that do. It is kept by a
-            safety limit, not by learning.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-    unit: str = ""
-    reduce: Reduction = "mean"
-    budget: Annotated[float, Field(gt=0)] | None = None
-    limit: float | None = None
-
-    @model_validator(mode="after")
-    def _check(self) -> Metric:
-        if self.budget is not None and self.reduce not in REDUCTIONS:
-            raise ValueError(
-                f"budget: expected one of {', '.join(REDUCTIONS)} as reduce, of which a step has a "
-                f"share of its own, got {self.reduce!r}; give the sum a budget instead"
-            )
-        return self
 
 
 class ResumableEnv(TransformedEnv):
@@ -110,7 +79,7 @@ class ResumableEnv(TransformedEnv):
 
 @dataclass(frozen=True)
 class EnvironmentFactory:
-    """Builds environments: ``[safety, disturbances, sensing, residual, memory]`` on a bare one.
+    """Builds environments: ``[safety, disturbances, sensing, operator, residual, memory]``.
 
     The order is the method's: on the way to the policy, sensing faults come before the controller,
     which therefore sees what a real one would see; on the way back the superposition comes first,
@@ -125,7 +94,9 @@ class EnvironmentFactory:
             normalized; of a plain list of names all are standardized by the first episodes, unless
             there are ``symmetries``. Beside the environment's own
             there are ``base_action`` and ``previous_action``, what the policy said in the last
-            ``action_history`` steps.
+            ``action_history`` steps. Entries that look like images are read as images.
+        critic_inputs: The entries that the critics read, such as poses that only a simulation
+            knows; None: the same. Critics are not needed where the policy acts.
         disturbances: Make the transforms of the executed action (control noise).
         sensing: Make the transforms of the observation entries (camera noise, latency).
         safety: Make the transforms that limit what reaches the environment.
@@ -142,12 +113,14 @@ class EnvironmentFactory:
             name. Names that are not here are reported with their mean and without a unit.
         control_period: Seconds from one action to the next; None: what the environment's attribute
             of that name says, or unknown.
+        intervention: Makes the transform through which an operator may take over in training.
         units: What the numbers of ``action`` and of observation entries are counted in, by name.
     """
 
     base: Callable[..., EnvBase]
     controller: Callable[[], TensorDictModuleBase]
     inputs: Mapping[str, Input] | Sequence[str]
+    critic_inputs: Mapping[str, Input] | Sequence[str] | None = None
     disturbances: Sequence[Callable[[], Transform]] = ()
     sensing: Sequence[Callable[[], Transform]] = ()
     safety: Sequence[Callable[[], Transform]] = ()
@@ -158,14 +131,19 @@ class EnvironmentFactory:
     symmetries: Mapping[str, Mapping[str, Sequence[int]]] = field(default_factory=dict)
     metrics: Mapping[str, Metric] = field(default_factory=dict)
     control_period: float | None = None
+    intervention: Callable[[], Intervention] | None = None
     units: Mapping[str, str] = field(default_factory=dict)
 
     def with_overrides(self, **overrides: Any) -> EnvironmentFactory:
         """Return the same chain on a base environment with other arguments (another scenario)."""
         return replace(self, base=partial(self.base, **overrides))
 
-    def make(self, num_envs: int = 1) -> ResumableEnv:
+    def make(self, num_envs: int = 1, *, operated: bool = False) -> ResumableEnv:
         """Build the environment with ``num_envs`` slots.
+
+        Args:
+            num_envs: How many.
+            operated: Whether the operator may take over, if there is one: in training alone.
 
         Raises:
             KeyError: If an input or the controller names an entry that the environment lacks, or
@@ -186,10 +164,13 @@ class EnvironmentFactory:
                 env.append_transform(DTypeCastTransform(dtype, torch.bool, in_keys=[key]))
         for make in (*self.safety, *self.disturbances, *self.sensing):
             env.append_transform(make())
+        if operated and self.intervention is not None:
+            env.append_transform(self.intervention())
         env.append_transform(ResidualAction(self.controller(), scale=self.residual_scale))
-        if PREVIOUS_ACTION in self.inputs:
+        if PREVIOUS_ACTION in {*self.inputs, *(self.critic_inputs or ())}:
             env.append_transform(ActionHistory(self.action_history))
         self.read_inputs(env)
+        self.read_critic_inputs(env)
         return env
 
     def read_inputs(self, env: EnvBase) -> dict[str, Input]:
@@ -200,26 +181,21 @@ class EnvironmentFactory:
             TypeError: If one of them holds no numbers.
             ValueError: If a center or scale does not fit its entry.
         """
-        spec = env.observation_spec
-        keys = list(spec.keys(True, True))
-        if missing := [name for name in self._inputs() if name not in keys]:
-            raise KeyError(
-                f"inputs: expected entries of the environment, which are {sorted(map(str, keys))}, "
-                f"got {missing[0]!r}"
-            )
-        for name in self._inputs():
-            check_number(f"inputs.{name}", spec[name])
-        inputs = {
-            name: replace(entry, shape=tuple(spec[name].shape[env.ndim :]))
-            for name, entry in (self._inputs() | self._action_inputs(env)).items()
-        }
-        for name, entry in inputs.items():
-            for column in ("loc", "scale"):
-                try:
-                    entry.column(column)
-                except ValueError as error:
-                    raise ValueError(f"inputs.{name}.{error}") from error
-        return inputs
+        return read_inputs("inputs", as_inputs(self.inputs), env)
+
+    def read_critic_inputs(self, env: EnvBase) -> dict[str, Input] | None:
+        """Return the critics' inputs; None if they read what the policy reads.
+
+        Raises:
+            KeyError: See :meth:`read_inputs`.
+            TypeError: See :meth:`read_inputs`.
+            ValueError: See :meth:`read_inputs`.
+        """
+        if self.critic_inputs is None:
+            return None
+        given = as_inputs(self.inputs) | as_inputs(self.critic_inputs)
+        wanted = {name: given[name] for name in self.critic_inputs}
+        return read_inputs("critic_inputs", wanted, env)
 
     def symmetry(self) -> Symmetry | None:
         """Return the symmetry of features and action; None if there are no mirrors.
@@ -234,7 +210,9 @@ class EnvironmentFactory:
         for name, given in self.symmetries.items():
             try:
                 maps = {key: as_map(key, numbers) for key, numbers in given.items()}
-                parts = [self._map(key, entry, maps) for key, entry in self._inputs().items()]
+                parts = [
+                    self._map(key, entry, maps) for key, entry in as_inputs(self.inputs).items()
+                ]
                 mirrors.append((_joined(parts), maps[ACTION]))
             except KeyError as missing:
                 raise ValueError(
@@ -254,26 +232,6 @@ class EnvironmentFactory:
                 f"got {entry.scale}"
             )
         return maps[key]
-
-    def _action_inputs(self, env: EnvBase) -> dict[str, Input]:
-        """Return the inputs that are actions, in half ranges if nothing else is said."""
-        inputs = self._inputs()
-        limits = limits_of(env.base_env.full_action_spec[ACTION])
-        half_range = limits.half_range.reshape(-1, limits.half_range.shape[-1])[0]
-        scales: dict[str, list[float] | float] = {
-            BASE_ACTION: (1.0 / half_range).tolist(),
-            PREVIOUS_ACTION: 1.0,
-        }
-        return {
-            name: replace(inputs[name], scale=scale)
-            for name, scale in scales.items()
-            if name in inputs and inputs[name].is_derived
-        }
-
-    def _inputs(self) -> dict[str, Input]:
-        if isinstance(self.inputs, Mapping):
-            return dict(self.inputs)
-        return {name: Input() for name in self.inputs}
 
     def _make_base(self, num_envs: int, errors: WorkerErrors | None) -> EnvBase:
         if self.batching == "native":

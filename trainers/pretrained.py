@@ -28,6 +28,7 @@ from .report.runs import Run
 from .seeds import Stream, first_seed
 from .storage.checkpoints import load_components
 from .storage.run_files import CONFIG_FILE, seed_directories
+from .training.interface import interface_of
 from .training.run_policy import RunPolicy
 
 __all__ = [
@@ -101,9 +102,7 @@ def trained_run(config: Config, run_dir: Path) -> TrainedRun:
     """
     factory = assembly.environment(config)
     env = factory.make(1)
-    agent: Agent = assembly.agent(config)(
-        inputs=factory.read_inputs(env), action_size=env.full_action_spec[ACTION].shape[-1]
-    )
+    agent: Agent = assembly.agent(config)(**interface_of(factory, env).arguments())
     env.close()
     handed_over = RunPolicy(agent, assembly.settings(config).acceptance.enabled)
     found = load_components(run_dir, {"agent": agent, "handed_over": handed_over})

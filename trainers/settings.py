@@ -195,6 +195,8 @@ class TrainerSettings(_Settings):
             its collection.
         batch_size: Transitions per update.
         buffer_capacity: Transitions kept for replay.
+        intervention_share: Part of every batch, at least, that comes from steps that an operator
+            has taken over, as soon as there are any.
         collection: ``turn`` with the updates; ``overlap``: a second process collects the next round
             meanwhile, and round ``k`` acts with the policy of round ``k - 1``'s start;
             ``realtime``: a process of its own steps the environment at its control period.
@@ -224,6 +226,7 @@ class TrainerSettings(_Settings):
     n_step: Positive = IN_YAML
     batch_size: Positive = IN_YAML
     buffer_capacity: Positive = IN_YAML
+    intervention_share: Annotated[float, Field(ge=0, le=1)] = IN_YAML
     collection: Literal["turn", "overlap", "realtime"] = IN_YAML
     realtime: RealTimeSettings = IN_YAML
     profile: bool = IN_YAML
@@ -241,9 +244,29 @@ class TrainerSettings(_Settings):
         return self.steps_per_collection * self.num_envs
 
     @property
+    def kept_transitions(self) -> int:
+        """Transitions that the buffer needs room for: no more than the run makes."""
+        return max(1, min(self.buffer_capacity, self.total_steps))
+
+    @property
     def updates_per_round(self) -> int:
         """Updates after each collection."""
         return round(self.steps_per_round * self.updates_per_step)
+
+    def check_operator(self, present: bool) -> None:
+        """Refuse a share of every batch from steps that nobody takes over.
+
+        Args:
+            present: Whether there is an operator.
+
+        Raises:
+            ValueError: If there is none, and a share.
+        """
+        if self.intervention_share and not present:
+            raise ValueError(
+                "intervention_share: expected 0 without an operator, got "
+                f"{self.intervention_share}; choose one, such as operator=press-and-drag"
+            )
 
     def derived(self, episode_steps: int) -> TrainerSettings:
         """Return the settings with the lengths that are to be derived.

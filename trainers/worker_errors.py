@@ -49,8 +49,9 @@ def _make(make: Callable[[], EnvBase], report: Path) -> EnvBase:
         def run(*args: Any, **kwargs: Any) -> Any:
             try:
                 return call(*args, **kwargs)
-            except Exception as error:
-                report.write_text(traceback.format_exception_only(error)[-1], encoding="utf-8")
+            except BaseException as error:  # SystemExit too: the worker ends with it
+                text = traceback.format_exception_only(error)[-1]
+                report.write_text(text, encoding="utf-8", errors="surrogateescape")
                 raise
 
         return run

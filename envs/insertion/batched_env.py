@@ -226,8 +226,8 @@ class InsertionEnv(EnvBase):
             )
         for name, value in self._arrays().items():
             value[:] = state[name].numpy()
-        for slot, yaw in enumerate(simulation.yaw.copy()):
-            simulation.set_yaw(slot, yaw)
+        for slot in range(self.num_envs):
+            simulation.set_blocks(slot, simulation.yaw[slot], simulation.place[slot])
         for generator, saved in zip(self._generators, state["generators"], strict=True):
             generator.bit_generator.state = saved
         self.num_diverged = int(state["num_diverged"])
@@ -239,6 +239,7 @@ class InsertionEnv(EnvBase):
             "physics": simulation.state,
             "sensors": simulation.sensors,
             "yaw": simulation.yaw,
+            "place": simulation.place,
             "steps": self._steps,
             **{f"outputs/{name}": value for name, value in self._outputs.items()},
         }

@@ -75,7 +75,7 @@ class InsertionTask(composer.Task):
         """Draw an episode and put the physics at its start."""
         model, data = physics.model.ptr, physics.data.ptr
         episode = draw_episode(self.config, random_state)
-        self._start.set_yaw(model, episode.yaw)
+        self._start.set_blocks(model, episode.yaw, episode.place)
         self._start.hold(model, data, self._start.qpos(model, episode))
         self._trace = [data.sensordata.copy()]
         self._evaluate()

@@ -13,12 +13,13 @@ from pydantic import ConfigDict, Field, ValidationError, model_validator
 from pydantic.dataclasses import dataclass
 from typing_extensions import Self
 
-__all__ = ["NUM_JOINTS", "PRESETS", "InsertionConfig", "make_config"]
+__all__ = ["NUM_JOINTS", "PRESETS", "InsertionConfig", "explain", "make_config"]
 
 NUM_JOINTS = 7
 Number = Annotated[float, Field(strict=True)]
 Positive = Annotated[float, Field(strict=True, gt=0)]
 NonNegative = Annotated[float, Field(strict=True, ge=0)]
+Offset = Annotated[float, Field(strict=True, ge=0, le=0.05)]
 Count = Annotated[int, Field(strict=True, ge=1)]
 PerJoint = Field(min_length=NUM_JOINTS, max_length=NUM_JOINTS)
 
@@ -59,6 +60,10 @@ class InsertionConfig:
     """Height of the inserted block above its goal at reset."""
     start_range: tuple[NonNegative, NonNegative, NonNegative] = (0.01, 0.01, 0.01)
     """The start is drawn uniformly within this distance of its nominal position, per axis."""
+
+    place_range: tuple[Offset, Offset] = (0.0, 0.0)
+    """The standing blocks, and the gap with the goal between them, stand within this distance of
+    where the robot believes them (``goal_xy``), drawn uniformly at reset, x and y, m."""
 
     # Orientation of the standing blocks at reset: one of the two.
     yaw_range: NonNegative = 0.0
@@ -119,7 +124,7 @@ class InsertionConfig:
 
     @property
     def goal(self) -> tuple[float, float, float]:
-        """Where the center of the inserted block belongs, m."""
+        """Where the robot believes that the center of the inserted block belongs, m."""
         return (*self.goal_xy, self.held_half_size[2])
 
     @property
@@ -129,7 +134,7 @@ class InsertionConfig:
 
     @property
     def block_goals(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        """X_g: where the centers of the left and right standing block belong, m."""
+        """X_g of blocks that stand where the robot believes: centers, left and right, m."""
         (x, y), height = self.goal_xy, self.standing_half_size[2]
         return (x - self.block_offset, y, height), (x + self.block_offset, y, height)
 
@@ -223,11 +228,15 @@ def make_config(
     try:
         return dataclasses.replace(base, **values)
     except ValidationError as error:
-        raise ValueError("; ".join(map(_explain, error.errors()))) from None
+        raise ValueError(explain(error)) from None
 
 
-def _explain(error: Mapping[str, Any]) -> str:
-    """Return one of pydantic's findings as ``name: expected X, got Y``."""
+def explain(error: ValidationError) -> str:
+    """Return what pydantic found, each as ``name: expected X, got Y``."""
+    return "; ".join(map(_explain_one, error.errors()))
+
+
+def _explain_one(error: Mapping[str, Any]) -> str:
     if error["type"] == "value_error":
         return str(error["ctx"]["error"])
     message = "expected a value" if error["type"] == "missing" else error["msg"]

@@ -29,6 +29,8 @@ class Measurement(NamedTuple):
     """[B, 3] middle of the held block, m."""
     block_position: np.ndarray
     """[B, 2, 3] middles of the standing blocks, m."""
+    goal: np.ndarray
+    """[B, 3] where the middle of the held block belongs: in the gap, m."""
     tilt: np.ndarray
     """[B, 2] theta: angle of toppling about the block's own long axis, positive towards +x, rad."""
     yaw: np.ndarray
@@ -72,6 +74,7 @@ def measure(signals: Signals, tare: np.ndarray) -> Measurement:
         end_effector=signals["tool_position"][:, -1],
         held_block=signals["held_position"][:, -1],
         block_position=signals["block_position"][:, -1],
+        goal=signals["goal_position"][:, -1],
         tilt=np.arctan2(lean, upward[..., 2]),
         yaw=yaw,
         inclination=np.arctan2(sideways, upward[..., 2]),
@@ -92,7 +95,12 @@ def _blocks(m: Measurement, config: InsertionConfig) -> np.ndarray:
 
 def _distance(m: Measurement, config: InsertionConfig) -> np.ndarray:
     point = m.held_block if config.reward_point == "held_block" else m.end_effector
-    return _norm(point - np.asarray(config.goal))
+    return _norm(point - m.goal)
+
+
+def _displacement(m: Measurement, config: InsertionConfig) -> np.ndarray:
+    goals = config.block_goals + (m.goal - np.asarray(config.goal))[:, None]  # (B, 2, 3)
+    return _norm((m.block_position - goals).reshape(-1, 6))
 
 
 OBSERVATIONS = {
@@ -113,9 +121,7 @@ METRICS: dict[str, Quantity] = {
 REWARD_TERMS = {
     "distance": RewardTerm(1.0, _distance),
     "tilt": RewardTerm(0.1, lambda m, config: np.abs(m.tilt).sum(axis=-1)),
-    "displacement": RewardTerm(
-        0.0, lambda m, config: _norm((m.block_position - config.block_goals).reshape(-1, 6))
-    ),
+    "displacement": RewardTerm(0.0, _displacement),
     "yaw": RewardTerm(0.0, lambda m, config: np.abs(m.yaw).sum(axis=-1)),
 }
 """r = -|x_g - x_t| - lambda sum|theta| - mu |X_g - X_t| - beta sum|phi| (the paper's equations 4
@@ -124,7 +130,7 @@ and 5); costs [B] in m and rad."""
 
 def success(m: Measurement, config: InsertionConfig) -> np.ndarray:
     """Return whether the inserted block is at its goal with both standing blocks upright, [B]."""
-    near = _norm(m.held_block - np.asarray(config.goal)) < config.position_tolerance
+    near = _norm(m.held_block - m.goal) < config.position_tolerance
     return near & (m.inclination.max(axis=-1) < config.tilt_tolerance)
 
 

@@ -39,7 +39,7 @@ def render_states(
         states: What ``env.physics_state()`` gave after each step, [T, num_envs, nstate], or the
             slot's alone, [T, nstate].
         slot: Which environment of the batch.
-        camera: ``overview``, ``closeup`` or ``front``.
+        camera: ``overview``, ``closeup``, ``front`` or ``gap``.
         width: Width [pixel].
         height: Height [pixel].
 

@@ -69,7 +69,7 @@ class SimulatedPlant(Robot):
     def reset(self, seed: int | None = None) -> None:
         """Begin an episode at once."""
         episode = draw_episode(self.config, np.random.default_rng(seed))
-        self._start.set_yaw(self._model, episode.yaw)
+        self._start.set_blocks(self._model, episode.yaw, episode.place)
         self._start.hold(self._model, self._data, self._start.qpos(self._model, episode))
         self._trace.clear()
         self._diverged, self._now = False, time.monotonic()

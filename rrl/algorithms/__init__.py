@@ -4,7 +4,7 @@ from rrl.algorithms.base import Agent
 from rrl.algorithms.ddpg import DDPG
 from rrl.algorithms.ensemble import EnsembleSACLoss, EnsembleTD3Loss
 from rrl.algorithms.multiplier import Multiplier
-from rrl.algorithms.networks import Concatenate, mlp
+from rrl.algorithms.networks import mlp
 from rrl.algorithms.optimizers import Adam, TorchOptimizer
 from rrl.algorithms.sac import SAC, no_exploration
 from rrl.algorithms.settings import AgentSettings
@@ -17,7 +17,6 @@ __all__ = [
     "Adam",
     "Agent",
     "AgentSettings",
-    "Concatenate",
     "EnsembleSACLoss",
     "EnsembleTD3Loss",
     "Multiplier",

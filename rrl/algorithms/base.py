@@ -15,8 +15,9 @@ from torchrl.objectives import LossModule, SoftUpdate
 from torchrl.objectives.utils import ValueEstimators
 
 from rrl.algorithms.calibration import discount, penalty_updates, reward_factor
-from rrl.algorithms.networks import EncodedNetwork, last_layer
+from rrl.algorithms.networks import EncodedNetwork, FirstOnly, last_layer
 from rrl.algorithms.precision import single_precision
+from rrl.algorithms.readings import Readings, with_shapes
 from rrl.algorithms.settings import AgentSettings
 from rrl.algorithms.symmetric_actor import SymmetricActor
 from rrl.algorithms.transfer import take_over
@@ -39,8 +40,10 @@ class Agent(nn.Module, ABC):
     of initial weights, losses and acting, come from torch's global generator.
 
     Args:
-        inputs: Observation entries that actor and critics read, or their sizes.
+        inputs: Observation entries that the policy reads, or their sizes.
         action_size: Size ``m`` of the action; the policy's action lies in [-1, 1].
+        critic_inputs: Entries that the critics read, such as those that only a simulation can give;
+            none: the same as the policy.
         symmetry: Of features and action; the learner then learns from randomly chosen mirror images
             of its transitions, and acts as the mean over all images.
         episode_steps: Steps of an episode, from which a discount of None is derived.
@@ -52,7 +55,6 @@ class Agent(nn.Module, ABC):
 
     Settings: ClassVar[type[AgentSettings]] = AgentSettings
     loss: LossModule
-    encoder: Any
     critic_optimizer: Any
     actor_optimizer: Any
     reward_scale: Tensor
@@ -67,6 +69,7 @@ class Agent(nn.Module, ABC):
         inputs: Mapping[NestedKey, Input | int],
         action_size: int,
         *,
+        critic_inputs: Mapping[NestedKey, Input | int] | None = None,
         symmetry: Symmetry | None = None,
         episode_steps: int | None = None,
         **settings: Any,
@@ -78,18 +81,19 @@ class Agent(nn.Module, ABC):
         self.is_calibrated = False
         self.register_buffer("reward_scale", torch.tensor(self.settings.reward_scale or 1.0))
         self.register_buffer("residual_weight", torch.tensor(self.settings.residual_penalty))
-        self.inputs = {
-            key: Input(shape=(entry,)) if isinstance(entry, int) else entry
-            for key, entry in inputs.items()
-        }
+        self.inputs, self.critic_inputs = with_shapes(inputs), with_shapes(critic_inputs)
+        self.readings = Readings(self.inputs, self.critic_inputs, self.settings.encoder)
+        self.encoders = nn.ModuleList(reading.encoder for reading in self.readings)
+        self.read_keys = [reading.key for reading in self.readings]
         self.action_size, self.symmetry = action_size, symmetry
-        self.encoder = self.settings.encoder(self.inputs)
-        self.learns_encoder = any(True for _ in self.encoder.parameters())
-        self.read_keys = list(self.inputs) if self.learns_encoder else [OBSERVATION]
         self.num_updates = 0
         if symmetry is not None:
-            if self.learns_encoder:
-                raise ValueError("symmetry: expected an encoder without parameters")
+            if self.readings.learn or critic_inputs:
+                raise ValueError(
+                    "symmetry: expected an encoder that learns nothing and critics that read what "
+                    "the policy reads; set use_symmetries to false to learn from images or from "
+                    "critic_inputs"
+                )
             sizes = symmetry.observation_size, symmetry.action_size
             if sizes != (self.encoder.out_features, action_size):
                 raise ValueError(
@@ -97,39 +101,44 @@ class Agent(nn.Module, ABC):
                     f"{action_size} numbers of action, got {sizes[0]} and {sizes[1]}"
                 )
 
+    @property
+    def encoder(self) -> Any:
+        """The policy's encoder."""
+        return self.readings.actor.encoder
+
     # ---------------------------------------------------------------- construction
 
     def make_actor(self, out_features: int) -> nn.Module:
-        """Make the actor network, from :attr:`read_keys` to ``[*batch, out_features]``."""
+        """Make the actor network, from features to ``[*batch, out_features]``."""
         network = self.settings.network(
             in_features=self.encoder.out_features, out_features=out_features
         )
         bound, layer = self.settings.last_layer_bound, last_layer(network)
         for parameter in (layer.weight, layer.bias):
             nn.init.uniform_(parameter, -bound, bound)
-        return self._behind_encoder(network).float()
+        return network.float()
 
     def make_critics(self, count: int) -> list[TensorDictModule]:
         """Make critics from what is read and the action to ``state_action_value`` [*batch, 1]."""
-        size = self.encoder.out_features + self.action_size
+        read = self.readings.critic
+        size = read.encoder.out_features + self.action_size
         networks = [
-            self._behind_encoder(self.settings.network(in_features=size, out_features=1)).float()
-            for _ in range(count)
+            self.settings.network(in_features=size, out_features=1).float() for _ in range(count)
         ]
-        keys = [*self.read_keys, ACTION]
+        keys = [read.key, ACTION]
         return [
             TensorDictModule(n, in_keys=keys, out_keys=["state_action_value"]) for n in networks
         ]
 
-    def _behind_encoder(self, network: nn.Module) -> nn.Module:
-        if not self.learns_encoder:
-            return network
-        return EncodedNetwork(self.settings.encoder(self.inputs), network, len(self.inputs))
+    def learning_network(self, actor: nn.Module) -> nn.Module:
+        """Return the network from :attr:`read_keys` to the actor's output, for the loss.
+
+        TorchRL's losses give critics nothing that is not among the actor's keys.
+        """
+        return actor if len(self.read_keys) == 1 else FirstOnly(actor)
 
     def acting_network(self, actor: nn.Module) -> nn.Module:
         """Return the network from the inputs to the actor's output, symmetric if the task is."""
-        if self.learns_encoder:
-            return actor
         network = actor if self.symmetry is None else SymmetricActor(actor, self.symmetry)
         return EncodedNetwork(self.encoder, network, len(self.inputs))
 
@@ -142,6 +151,9 @@ class Agent(nn.Module, ABC):
         self.soft_update = SoftUpdate(self.loss, tau=self.settings.tau)
         self._critic_params = list(critic_params.values(True, True))
         self._actor_params = list(actor_params.values(True, True))
+        for reading in self.readings:
+            pupils = self._actor_params if reading.taught_by_policy else self._critic_params
+            pupils.extend(reading.learned)
         make = self.settings.optimizer
         self.critic_optimizer = make(self._critic_params, lr=self.settings.critic_lr)
         self.actor_optimizer = make(self._actor_params, lr=self.settings.actor_lr)
@@ -170,8 +182,8 @@ class Agent(nn.Module, ABC):
         if settings.reward_scale is None:
             rewards = transitions["next", "reward"].flatten()
             self.reward_scale.fill_(reward_factor(rewards, self.gamma, n_step))
-        if self.symmetry is None and hasattr(self.encoder, "calibrate"):
-            inputs = self.encoder.calibrate(*(transitions[key] for key in self.inputs))
+        for reading in self.readings if self.symmetry is None else ():
+            inputs |= reading.calibrate(transitions)
         self.is_calibrated = True
         return {"gamma": self.gamma, "reward_scale": float(self.reward_scale), "inputs": inputs}
 
@@ -216,23 +228,10 @@ class Agent(nn.Module, ABC):
         return {name: torch.cat(values).mean() for name, values in history.items()}
 
     def _encoded(self, batches: TensorDictBase) -> TensorDict:
-        """Return what the losses read, with a fixed encoder's features in the inputs' place."""
-
-        def read(part: TensorDictBase) -> dict[NestedKey, Tensor]:
-            values = {key: part.get(key) for key in self.inputs}
-            if self.learns_encoder:
-                return dict(values)
-            with torch.no_grad():
-                return {OBSERVATION: self.encoder(*values.values())}
-
-        following = batches.get("next")
-        out = batches.exclude("next", *self.inputs)
-        out_next = following.exclude(*self.inputs)
-        out_next.set("reward", following["reward"] * self.reward_scale)
-        for target, part in ((out, batches), (out_next, following)):
-            for key, value in read(part).items():
-                target.set(key, value)
-        return out.set("next", out_next)
+        """Return what the updates need, with a fixed encoder's features in the entries' place."""
+        out = self.readings.prepare(batches)
+        out["next", "reward"] = batches["next", "reward"] * self.reward_scale
+        return out
 
     def _plan(self, k: int) -> Iterator[tuple[int, tuple[Step, ...]]]:
         """Yield the next ``k`` updates in parts, up to a policy update each, with their place."""
@@ -266,6 +265,9 @@ class Agent(nn.Module, ABC):
         """Return the policy's loss and metrics, scalars, of a batch ``[B]``."""
 
     def _critic_step(self, batch: TensorDictBase) -> dict[str, Tensor]:
+        return self._learn_values(self.readings.for_critics(batch))
+
+    def _learn_values(self, batch: TensorDictBase) -> dict[str, Tensor]:
         loss, info = self.value_loss(batch)
         self.critic_optimizer.step(torch.autograd.grad(loss, self._critic_params))
         return {"loss_critic": loss.detach(), **info}
@@ -276,7 +278,9 @@ class Agent(nn.Module, ABC):
         return metrics
 
     def _critic_and_policy_step(self, batch: TensorDictBase) -> dict[str, Tensor]:
-        metrics = self._critic_step(batch)
+        batch = self.readings.for_critics(batch)
+        metrics = self._learn_values(batch)
+        batch = self.readings.for_policy(batch)
         loss, info = self.actor_loss(batch)
         if self.settings.residual_penalty:
             square = self._residual(batch).square().sum(-1).mean()

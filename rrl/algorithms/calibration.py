@@ -10,7 +10,6 @@ __all__ = [
     "discount",
     "penalty_updates",
     "reward_factor",
-    "standardization",
     "warmup_length",
 ]
 
@@ -20,8 +19,6 @@ NORMAL = 1.2533
 """Standard deviation over mean absolute deviation of normally distributed numbers."""
 LEAST_SHARE = 0.1
 """Rewards that hardly differ count as if they differed by this share of their size."""
-LEAST_SPREAD = 0.05
-"""A number that hardly moves counts as if it moved by this share of its entry's mean spread."""
 WARMUP_EPISODES = 5
 WARMUP_STEPS = 300
 WARMUP_SHARE = 0.1
@@ -80,16 +77,3 @@ def reward_factor(rewards: Tensor, gamma: float, n_step: int = 1) -> float:
     if not spread > 0:
         return 1.0
     return float(VALUE_SPREAD * (1 - gamma) / spread)
-
-
-def standardization(values: Tensor) -> tuple[Tensor, Tensor]:
-    """Return center and scale ``[size]`` that standardize an entry's numbers.
-
-    Args:
-        values: The entry's numbers ``[n, size]``.
-    """
-    values = values.double()
-    spread = values.std(0, correction=0)
-    floor = LEAST_SPREAD * spread.square().mean().sqrt()
-    scale = 1.0 / torch.where(spread > floor, spread, floor)
-    return values.mean(0).float(), torch.where(floor > 0, scale, 1.0).float()

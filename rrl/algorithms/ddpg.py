@@ -28,12 +28,19 @@ class DDPG(Agent):
     @single_precision()
     def __init__(self, inputs: Any, action_size: int, **arguments: Any) -> None:
         super().__init__(inputs, action_size, **arguments)
+        if self.readings.learn:
+            raise ValueError(
+                "encoder: expected one that learns nothing, because TorchRL's DDPGLoss passes no "
+                "gradient to it; use TD3 (num_critics=1 and target_subset=1 is the nearest), or SAC"
+            )
         network = nn.Sequential(self.make_actor(action_size), nn.Tanh())
         self.policy = TensorDictModule(
             self.acting_network(network), in_keys=list(self.inputs), out_keys=[ACTION]
         )
         loss = DDPGLoss(
-            TensorDictModule(network, in_keys=self.read_keys, out_keys=[ACTION]),
+            TensorDictModule(
+                self.learning_network(network), in_keys=self.read_keys, out_keys=[ACTION]
+            ),
             self.make_critics(1)[0],
             loss_function=self.settings.loss_function,
             delay_actor=True,

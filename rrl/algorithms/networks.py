@@ -1,35 +1,24 @@
-"""Networks and encoders that a configuration can name."""
+"""Networks that a configuration can name."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import torch
-from tensordict import NestedKey
 from torch import Tensor, nn
 
-from rrl.algorithms.calibration import standardization
-from rrl.inputs import Input
-
 __all__ = [
-    "Concatenate",
     "EncodedNetwork",
-    "EncoderFactory",
+    "FirstOnly",
     "Linear",
     "NetworkFactory",
     "last_layer",
     "mlp",
 ]
 
-Inputs = Mapping[NestedKey, Input]
-
 NetworkFactory = Callable[..., nn.Module]
 """Called with ``in_features`` and ``out_features``."""
-
-EncoderFactory = Callable[[Inputs], nn.Module]
-"""From the policy's inputs to a module: values of all entries ``[*batch, *shape]``, in their order,
-to features ``[*batch, out_features]``; the module has the attribute ``out_features``."""
 
 
 class Linear(nn.Module):
@@ -84,73 +73,6 @@ def mlp(
     return _MLP(*layers, Linear(width, out_features))
 
 
-FEATURE_LIMIT = 10.0
-"""Standard deviations at which a standardized number is clipped."""
-
-
-class Concatenate(nn.Module):
-    """The default encoder: flatten, normalize and concatenate all inputs.
-
-    Entries without center and scale are left as they are until :meth:`calibrate`.
-
-    Args:
-        inputs: Observation entries with shape, center and scale.
-
-    Raises:
-        ValueError: If a center or scale does not fit its entry; the message names the entry.
-    """
-
-    loc: Tensor
-    scale: Tensor
-    limit: Tensor
-
-    def __init__(self, inputs: Inputs) -> None:
-        super().__init__()
-        columns: dict[str, list[Tensor]] = {"loc": [], "scale": []}
-        for key, entry in inputs.items():
-            for field, parts in columns.items():
-                try:
-                    parts.append(entry.column(field))
-                except (ValueError, TypeError) as error:
-                    raise ValueError(f"inputs.{key}.{error}") from error
-        self._inputs = dict(inputs)
-        self._shapes = [entry.shape for entry in inputs.values()]
-        for field, parts in columns.items():
-            self.register_buffer(field, torch.cat(parts))
-        self.register_buffer("limit", torch.full_like(self.loc, torch.inf))
-        self.out_features = self.loc.numel()
-
-    def calibrate(self, *values: Tensor) -> dict[NestedKey, dict[str, list[float]]]:
-        """Standardize the entries that have neither center nor scale.
-
-        Args:
-            values: Of every entry ``[n, *shape]``.
-
-        Returns:
-            Center and scale of the entries that were standardized.
-        """
-        found: dict[NestedKey, dict[str, list[float]]] = {}
-        first = 0
-        for (key, entry), value in zip(self._inputs.items(), values, strict=True):
-            part = slice(first, first + entry.size)
-            first += entry.size
-            if entry.is_derived:
-                loc, scale = standardization(value.reshape(len(value), -1))
-                self.loc[part], self.scale[part] = loc.to(self.loc), scale.to(self.scale)
-                self.limit[part] = FEATURE_LIMIT
-                found[key] = {"loc": loc.tolist(), "scale": scale.tolist()}
-        return found
-
-    def forward(self, *values: Tensor) -> Tensor:
-        """Return features ``[*batch, n]`` of entries ``[*batch, *shape]``."""
-        flat = [
-            value.reshape(*value.shape[: value.ndim - len(shape)], -1).to(self.loc)
-            for value, shape in zip(values, self._shapes, strict=True)
-        ]
-        joined = torch.cat(flat, -1) if len(flat) > 1 else flat[0]
-        return ((joined - self.loc) * self.scale).clamp(-self.limit, self.limit)
-
-
 class EncodedNetwork(nn.Module):
     """A network behind its encoder, on whatever device it lies.
 
@@ -170,6 +92,22 @@ class EncodedNetwork(nn.Module):
         moved = [value.to(device) for value in values]
         features = self.encoder(*moved[: self.num_entries])
         return self.network(features, *moved[self.num_entries :]).to(values[0].device)
+
+
+class FirstOnly(nn.Module):
+    """A network that gets more than it reads: the first value.
+
+    Args:
+        network: From the first value to the output.
+    """
+
+    def __init__(self, network: nn.Module) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, first: Tensor, *others: Tensor) -> Tensor:
+        """Return the network's output."""
+        return self.network(first)
 
 
 def last_layer(network: nn.Module) -> nn.Linear | Linear:

@@ -93,7 +93,7 @@ class SAC(Agent):
             "target_entropy": float(-action_size if target is None else target),
         }
         networks = (
-            self._stochastic(network, self.read_keys),
+            self._stochastic(self.learning_network(network), list(self.read_keys)),
             self.make_critics(settings.num_critics),
         )
         loss = (

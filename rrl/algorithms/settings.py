@@ -4,8 +4,10 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from rrl.algorithms.networks import Concatenate, EncoderFactory, NetworkFactory, mlp
+from rrl.algorithms.networks import NetworkFactory, mlp
 from rrl.algorithms.optimizers import Adam, OptimizerFactory
+from rrl.encoders import automatic
+from rrl.encoders.interface import EncoderFactory
 
 __all__ = ["AgentSettings"]
 
@@ -14,8 +16,8 @@ class AgentSettings(BaseModel):
     """Hyperparameters that all algorithms have.
 
     Attributes:
-        encoder: Makes the module from the policy's inputs to features; one without parameters is
-            run once a batch, one with parameters is part of every network that reads it.
+        encoder: Makes the module from inputs to features; one that learns nothing is run once a
+            batch, one that learns is taught by the critics (:func:`.readings.readings`).
         network: Makes the networks of actor and critics.
         optimizer: Makes the optimizers.
         last_layer_bound: The actor's output layer is drawn from ``U(-bound, bound)``; 0 makes an
@@ -43,7 +45,7 @@ class AgentSettings(BaseModel):
         extra="forbid", frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True
     )
 
-    encoder: EncoderFactory = Concatenate
+    encoder: EncoderFactory = automatic
     network: NetworkFactory = mlp
     optimizer: OptimizerFactory = Adam
     last_layer_bound: float = Field(0.0, ge=0)

@@ -91,7 +91,9 @@ class TD3(Agent):
             "loss_function": settings.loss_function,
         }
         networks = (
-            TensorDictModule(network, in_keys=self.read_keys, out_keys=[ACTION]),
+            TensorDictModule(
+                self.learning_network(network), in_keys=self.read_keys, out_keys=[ACTION]
+            ),
             # A list keeps each critic's own initialization.
             self.make_critics(settings.num_critics),
         )

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
-from torchrl.objectives import LossModule
 
 if TYPE_CHECKING:
     from rrl.algorithms.base import Agent
@@ -21,7 +20,7 @@ def take_over(agent: Agent, other: Agent) -> None:
     Raises:
         ValueError: If ``other`` is of another algorithm or has networks of other sizes.
     """
-    given, own = _learned(other.loss), _learned(agent.loss)
+    given, own = _learned(other), _learned(agent)
     for name in sorted(given.keys() | own.keys()):
         shapes = [tuple(d[name].shape) if name in d else None for d in (own, given)]
         if shapes[0] != shapes[1]:
@@ -32,13 +31,17 @@ def take_over(agent: Agent, other: Agent) -> None:
     for name, value in own.items():
         value.copy_(given[name])
     if other.is_calibrated:  # a policy means what it learned only behind its own encoder
-        agent.encoder.load_state_dict(other.encoder.state_dict())
+        for ours, theirs in zip(agent.encoders, other.encoders, strict=True):
+            ours.load_state_dict(theirs.state_dict())
         if agent.settings.reward_scale is None:
             agent.reward_scale.copy_(other.reward_scale)
         agent.is_calibrated = True
 
 
-def _learned(loss: LossModule) -> dict[str, Tensor]:
-    """Return what a loss has learned: not its discount, nor what it is told to aim at."""
-    state = loss.state_dict()
-    return {k: v for k, v in state.items() if "_params." in k or k == "log_alpha"}
+def _learned(agent: Agent) -> dict[str, Tensor]:
+    """Return what an agent has learned: not its discount, nor what it is told to aim at."""
+    state = agent.loss.state_dict()
+    learned = {k: v for k, v in state.items() if "_params." in k or k == "log_alpha"}
+    for i, encoder in enumerate(agent.encoders):
+        learned |= {f"encoder {i} {k}": v for k, v in encoder.named_parameters()}
+    return learned

@@ -1,11 +1,12 @@
-"""Transforms for any TorchRL environment: residual, disturbance, sensing faults, safety limits."""
+"""Transforms for any TorchRL environment: residual, operator, disturbance, sensing, safety."""
 
 from rrl.transforms.action_history import ActionHistory
 from rrl.transforms.control_noise import ControlNoise
 from rrl.transforms.episode_value import EpisodeValue
+from rrl.transforms.intervention import Intervention
 from rrl.transforms.residual_action import ResidualAction
 from rrl.transforms.safety import FiniteAction, ForceLimit, SafetyLimit, StepLimit, WorkspaceLimit
-from rrl.transforms.sensing import ObservationLatency, ObservationNoise
+from rrl.transforms.sensing import ObservationDropout, ObservationLatency, ObservationNoise
 
 __all__ = [
     "ActionHistory",
@@ -13,6 +14,8 @@ __all__ = [
     "EpisodeValue",
     "FiniteAction",
     "ForceLimit",
+    "Intervention",
+    "ObservationDropout",
     "ObservationLatency",
     "ObservationNoise",
     "ResidualAction",

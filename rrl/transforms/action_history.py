@@ -10,7 +10,7 @@ from torch import Tensor
 from torchrl.data import Composite
 
 from rrl.checks import check_whole, require
-from rrl.keys import ACTION, PREVIOUS_ACTION
+from rrl.keys import ACTION, INTERVENTION, PREVIOUS_ACTION
 from rrl.transforms.base import ActionTransform, Mask, Memory, SlotTransform, sibling
 
 __all__ = ["ActionHistory"]
@@ -22,8 +22,9 @@ class ActionHistory(ActionTransform):
     A delayed or noisy observation does not yet hold what the last actions did; together with them
     it is closer to a state. The actions are those at the transform's place: behind
     :class:`~rrl.transforms.ResidualAction` in the list they are the policy's residuals in [-1, 1],
-    exploration included, in front of it what the environment was given. The action itself is left
-    alone.
+    exploration included, in front of it what the environment was given. Where an
+    :class:`~rrl.transforms.Intervention` has overruled the policy it is the residual that would
+    have given the operator's command, which is what is stored. The action itself is left alone.
 
     policy -> env: reads ``action_key``.
     env -> policy: writes ``out_key``, ``[*batch, steps * n_act]``, oldest action first; zeros
@@ -61,6 +62,9 @@ class ActionHistory(ActionTransform):
 
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
         history, given = self.recall("history"), self.recall("given").to(self.limits().dtype)
+        overruled = next_td.get(sibling(self._action_key, INTERVENTION), None)
+        if overruled is not None:
+            given = torch.where(overruled["active"], overruled["action"], given)
         return {
             "history": torch.cat([history[..., given.shape[-1] :], given], -1),
             "given": given,

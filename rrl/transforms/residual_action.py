@@ -127,7 +127,7 @@ class ResidualAction(ActionTransform):
         limits = self.limits()
         action = self.action(tensordict)
         base_action = require(self, tensordict, self._base_key, _REMEDY)
-        span = self._span if self._span is not None else self._make_span(limits)
+        span = self.span()
         # Product and sum are rounded one after the other: a fused operation would round differently
         # in different places of a batch.
         total = base_action + span * action
@@ -135,11 +135,19 @@ class ResidualAction(ActionTransform):
             total = torch.where(span == 0, base_action, total)
         return tensordict.set(self._action_key, torch.clamp(total, limits.low, limits.high))
 
-    def _make_span(self, limits: ActionLimits) -> Tensor:
-        check_length("scale", self.scale, limits.shape[-1], "the action")
-        self._span = self.scale.to(limits.half_range) * limits.half_range
-        self._has_zeros = bool((self._span == 0).any())
+    def span(self) -> Tensor:
+        """Return the largest residual in the environment's action units, of the action's shape."""
+        if self._span is None:
+            limits = self.limits()
+            check_length("scale", self.scale, limits.shape[-1], "the action")
+            self._span = self.scale.to(limits.half_range) * limits.half_range
+            self._has_zeros = bool((self._span == 0).any())
         return self._span
+
+    @property
+    def base_action_key(self) -> NestedKey:
+        """Where the controller's action is."""
+        return self._base_key
 
     def _take_limits(self, action_spec: Composite) -> ActionLimits:
         self._span = None

@@ -2,23 +2,42 @@
 
 import pytest
 
-from benchmarks import limits
+from benchmarks.limits.measure import Worst, excesses, measure
+from benchmarks.limits.play import CASES, FORCE, WATCHED
+from benchmarks.limits.record import Key, Record
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["nominal", "delay and stiff"])
-@pytest.mark.parametrize("name", [*limits.WATCHED, "all"])
+@pytest.mark.parametrize("name", [*WATCHED, "all"])
 @pytest.mark.parametrize("variant", ["sim", "real"])
 def test_no_limit_is_exceeded(variant, name, case):
-    found = limits.measure(variant, name, limits.CASES[case], episodes=500)
-    assert sum(worst.episodes for worst in found.values()) >= 500
-    assert not limits.excesses(variant, name, found)
+    found = measure(variant, name, CASES[case], seed=0)
+    assert sum(worst.episodes for worst in found.values()) >= 1000
+    assert not excesses(variant, name, found)
     if name == "force":  # it was tried
-        assert max(worst.values[limits.FORCE] for worst in found.values()) > 20.0
+        assert max(worst.values[FORCE] for worst in found.values()) > 20.0
 
 
 def test_a_limit_that_does_not_hold_is_named():
-    found = limits.measure("real", "step", limits.CASES["nominal"], episodes=50)
-    assert not limits.excesses("real", "step", found)
-    text = "\n".join(limits.excesses("real", "all", found))  # which it was not asked to keep
+    found = measure("real", "step", CASES["nominal"], seed=0, generations=1)
+    assert not excesses("real", "step", found)
+    text = "\n".join(excesses("real", "all", found))  # which it was not asked to keep
     assert "real, all, random, held: outside the box [mm]" in text
+
+
+def test_a_record_goes_on_and_parts_are_joined(tmp_path):
+    limits, path = {"sim": {"force": {"limit": 50.0}}}, tmp_path / "new/limits.jsonl"
+    for seed, force in enumerate([30.0, 40.0, 20.0]):
+        found = {"random": Worst(50, {FORCE: force})}
+        Record(path, limits).add(Key("sim", "nominal", "force", seed), found)
+    record = Record(path, limits)
+    assert [key.seed for key in record.rounds] == [0, 1, 2]
+    assert record.joined() == {("sim", "nominal", "force"): {"random": Worst(150, {FORCE: 40.0})}}
+
+
+def test_rounds_under_other_limits_are_not_joined(tmp_path):
+    path = tmp_path / "limits.jsonl"
+    Record(path, {"sim": {"force": {"limit": 50.0}}}).add(Key("sim", "nominal", "force", 0), {})
+    with pytest.raises(ValueError, match=r"expected rounds under .*60.*, got .*50.*another file"):
+        Record(path, {"sim": {"force": {"limit": 60.0}}})

@@ -10,7 +10,10 @@ import pytest
 
 import rrl
 
-PACKAGES = ["rrl.algorithms", "rrl.controllers", "rrl.transforms", "rrl.trainers"]
+PACKAGES = [
+    *("rrl.algorithms", "rrl.controllers", "rrl.encoders", "rrl.interventions", "rrl.transforms"),
+    "rrl.trainers",
+]
 
 
 @pytest.mark.parametrize("name", rrl.__all__)
@@ -19,7 +22,7 @@ def test_every_name_is_that_of_its_package(name: str) -> None:
     assert any(getattr(home, name, None) is getattr(rrl, name) for home in homes)
 
 
-@pytest.mark.parametrize("package", PACKAGES[:3])
+@pytest.mark.parametrize("package", PACKAGES[:4])
 def test_every_name_of_a_package_is_there(package: str) -> None:
     assert set(importlib.import_module(package).__all__) <= set(rrl.__all__)
 

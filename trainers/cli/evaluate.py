@@ -29,9 +29,9 @@ def evaluate(config: assembly.Config, run_dir: Path, console: Output) -> None:
     """Evaluate the newest checkpoint of a run, or of every seed, on every scenario."""
     for path in seed_directories(run_dir) or [run_dir]:
         results, _ = _evaluate(config, path, console)
-        units = Group("", tuple(find_runs([path]))).units
+        declared = Group("", tuple(find_runs([path]))).declared
         title = f"{config['name']} ({path})"
-        console.print(terminal_tables(one_run(results), units, title=title))
+        console.print(terminal_tables(one_run(results), declared, title=title))
         time = datetime.now(timezone.utc).strftime("%Y-%m-%d_%H-%M-%S")
         write_results(results, path / f"evaluation-{time}.json")
         console.say(f"  {path / f'evaluation-{time}.json'}")

@@ -203,7 +203,8 @@ def _reproduce(arguments: list[str]) -> None:
 
     names = [a for a in arguments if "=" not in a]
     given = [a.partition("=") for a in arguments if "=" in a]
-    changes = {k: value if k == "out" else yaml.safe_load(value) for k, _, value in given}
+    paths = ("out", "data")
+    changes = {k: value if k in paths else yaml.safe_load(value) for k, _, value in given}
     folders = [folder for folder in (Path.cwd() / CONFIGS, OURS) if folder.is_dir()]
     again = shlex.join(["rrl", "reproduce", *arguments])
     reproduce(names, changes, compose, folders, Output(), again)

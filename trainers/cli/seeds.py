@@ -73,9 +73,9 @@ def train_seeds(config: assembly.Config, run_dir: Path, console: Output, *, resu
 def _show(config: assembly.Config, runs: Sequence[Run], run_dir: Path, console: Output) -> None:
     """Leave one table, curve, video and report of all seeds in their common directory."""
     group = Group(str(config["name"]), tuple(runs))
-    console.print(terminal_tables(group.results, group.units, title=group.label))
+    console.print(terminal_tables(group.results, group.declared, title=group.label))
     written = [run_dir / "results.md", run_dir / CONFIG_FILE]
-    write_atomically(written[0], markdown_tables(group.results, group.units))
+    write_atomically(written[0], markdown_tables(group.results, group.declared))
     curve = learning_curve(group, run_dir / "learning_curve.png")
     written += [curve] if curve else []
     if config["render"]["enabled"]:

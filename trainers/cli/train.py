@@ -13,12 +13,12 @@ from ..console import Output
 from ..evaluation.episodes import write_results
 from ..pretrained import start_from
 from ..report.learning_curve import learning_curve
+from ..report.notes import Results
 from ..report.report import write_report
 from ..report.runs import Group, find_runs
 from ..report.tables import (
     COLUMNS,
     EPISODE_COLUMNS,
-    Results,
     episode_rows,
     markdown_tables,
     one_run,
@@ -85,9 +85,9 @@ def _train(config: assembly.Config, trainer: Trainer, console: Output) -> None:
     if trainer.settings.profile:
         console.print(trainer.profile.table())
     group, shown = Group(str(config["name"]), tuple(find_runs([run_dir]))), one_run(results)
-    console.print(terminal_tables(shown, group.units, title=group.label))
+    console.print(terminal_tables(shown, group.declared, title=group.label))
     written = [run_dir / "results.md", run_dir / CONFIG_FILE]
-    write_atomically(written[0], markdown_tables(shown, group.units))
+    write_atomically(written[0], markdown_tables(shown, group.declared))
     if trainer.env_steps and (run_dir / METRICS).exists():
         curve = learning_curve(group, run_dir / "learning_curve.png")
         written += [curve] if curve else []

@@ -7,8 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ..environment import EnvironmentFactory, Input, Metric
+from ..environment import EnvironmentFactory, Input
 from ..loggers import MetricsLogger
+from ..metric import Metric
 from ..settings import TrainerSettings
 from ..training.learner import build
 from ..training.progress import Progress
@@ -47,7 +48,8 @@ def environment(config: Config) -> EnvironmentFactory:
     return EnvironmentFactory(
         base=build(env["base"]),
         controller=build(config["controller"]),
-        inputs={key: Input(**(entry or {})) for key, entry in env["inputs"].items()},
+        inputs=_inputs(env["inputs"]),
+        critic_inputs=None if env.get("critic_inputs") is None else _inputs(env["critic_inputs"]),
         disturbances=[build(node) for node in _enabled(config["disturbance"])],
         sensing=[build(node) for node in _enabled(env.get("sensing"))],
         safety=[build(node) for node in _enabled(config.get("safety"))],
@@ -58,6 +60,7 @@ def environment(config: Config) -> EnvironmentFactory:
         symmetries=env.get("symmetries") or {},
         metrics={name: Metric(**(how or {})) for name, how in (env.get("metrics") or {}).items()},
         control_period=env.get("control_period"),
+        intervention=next(map(build, _enabled(config.get("operator"))), None),
         units=env.get("units") or {},
     )
 
@@ -118,6 +121,10 @@ def check(config: Config) -> None:
     """
     if problems := checks.problems(config):
         raise ValueError("\n".join(problems))
+
+
+def _inputs(entries: Config) -> dict[str, Input]:
+    return {key: Input(**(entry or {})) for key, entry in entries.items()}
 
 
 def _enabled(nodes: Config | None) -> list[Config]:

@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from torchrl.data import Bounded
 
 from rrl.keys import BASE_ACTION, PREVIOUS_ACTION
 
-from ..environment import Batching, EnvironmentFactory, Input, Metric
+from ..environment import Batching, EnvironmentFactory, Input
+from ..metric import Metric
 from ..settings import Positive, TrainerSettings
 from ..storage.run_files import CONFIG_FILE, seed_directories
 from ..storage.versions import missing
@@ -28,6 +29,7 @@ PlainName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9._+=-]*$")]
 Target = dict[str, Any]
 Targets = dict[str, Target | None] | None
 Scale = Annotated[float, Field(ge=0)] | list[Annotated[float, Field(ge=0)]]
+Entries = Annotated[dict[str, dict[str, Any] | None], Field(min_length=1)]
 Side = Annotated[int, Field(gt=0, le=4096)]
 
 
@@ -50,7 +52,8 @@ class _Env(_Section):
     base: Target
     batching: Batching
     max_episode_steps: Positive
-    inputs: Annotated[dict[str, dict[str, Any] | None], Field(min_length=1)]
+    inputs: Entries
+    critic_inputs: Entries | None = None
     scenarios: Annotated[dict[PlainName, dict[str, Any] | None], Field(min_length=1)]
     residual_scale: Scale | None = None
     action_history: Positive = 1
@@ -73,6 +76,10 @@ class _InitFrom(_Section):
     run: str | None
 
 
+class _Operator(_Section):
+    intervention: Target | None
+
+
 class _Root(_Section):
     """The configuration's layout; what a ``_target_`` takes is checked with the target itself."""
 
@@ -87,9 +94,15 @@ class _Root(_Section):
     controller: Target
     disturbance: Targets = None
     safety: Targets = None
+    operator: _Operator | None = None
     algorithm: _Algorithm
     init_from: _InitFrom | None = None
     logger: Targets = None
+
+    @model_validator(mode="after")
+    def _check(self) -> _Root:
+        self.trainer.check_operator(bool(self.operator and self.operator.intervention))
+        return self
 
 
 def problems(config: Config) -> list[str]:
@@ -134,6 +147,7 @@ def _check_targets(config: Config, built: dict[str, Any]) -> Problems:
         ("algorithm.exploration", algorithm["exploration"], {"spec": spec}),
     ]
     groups = {"disturbance": config.get("disturbance"), "safety": config.get("safety")}
+    groups |= {"operator": config.get("operator")}
     groups |= {"env.sensing": env.get("sensing"), "logger": config.get("logger")}
     for group, members in groups.items():
         nodes += [(f"{group}.{name}", n, {}) for name, n in (members or {}).items() if n]
@@ -223,7 +237,7 @@ def _parameters(target: Any) -> dict[str, inspect.Parameter]:
         return parameters
     kept = {n: p for n, p in parameters.items() if p.kind is not p.VAR_KEYWORD}
     keyword = inspect.Parameter.KEYWORD_ONLY
-    fields = [*settings.model_fields, "symmetry", "episode_steps"]
+    fields = [*settings.model_fields, "symmetry", "episode_steps", "critic_inputs"]
     return kept | {n: inspect.Parameter(n, keyword, default=None) for n in fields}
 
 
@@ -250,21 +264,29 @@ def _check_init_from(config: Config) -> Problems:
 def _check_entries(config: Config, built: dict[str, Any]) -> Problems:
     """Check names and sizes of the observation entries that policy and controller read."""
     env = config["env"]
-    for key, entry in env["inputs"].items():
-        if unknown := sorted(set(entry or {}) - {"loc", "scale"}):
-            yield f"env.inputs.{key}: expected loc and scale, got {', '.join(unknown)}"
-            return
-    inputs = {key: Input(**(entry or {})) for key, entry in env["inputs"].items()}
+    groups: dict[str, dict[str, Input]] = {}
+    for group in ("inputs", "critic_inputs"):
+        for key, entry in (env.get(group) or {}).items():
+            path = f"env.{group}.{key}"
+            if unknown := sorted(set(entry or {}) - {"loc", "scale", "channels"}):
+                yield f"{path}: expected loc and scale, or channels, got {', '.join(unknown)}"
+                return
+            try:
+                groups.setdefault(group, {})[key] = Input(**(entry or {}))
+            except ValueError as error:
+                yield f"{path}.{error}"
+                return
     sizes = entries(env["base"])
-    yield from _check_symmetries(env, inputs, sizes)
+    yield from _check_symmetries(env, groups["inputs"], sizes)
     if sizes is None:
         return
     known = ", ".join(sorted(sizes))
-    for key, entry in inputs.items():
-        if key in sizes:
-            yield from _check_columns(f"env.inputs.{key}", replace(entry, shape=(sizes[key],)))
-        elif key not in (BASE_ACTION, PREVIOUS_ACTION):
-            yield f"env.inputs: the environment does not have {key!r}; it has {known}"
+    for group, inputs in groups.items():
+        for key, entry in inputs.items():
+            if key in sizes:
+                yield from _check_columns(f"env.{group}.{key}", replace(entry, shape=(sizes[key],)))
+            elif key not in (BASE_ACTION, PREVIOUS_ACTION):
+                yield f"env.{group}: the environment does not have {key!r}; it has {known}"
     for key in getattr(built.get("controller"), "in_keys", ()):
         if isinstance(key, str) and key not in sizes:
             yield f"controller: reads {key!r}, which the environment does not have; it has {known}"

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rrl.keys import METRICS, SAFETY
 
+from ..metric import Metric
 from ..storage.files import write_atomically
 from .statistics import fisher, mcnemar, wilson
 
@@ -35,6 +36,7 @@ class Episodes:
         diverged: Whether the physics diverged.
         metrics: What the environment wrote under ``("metrics", NAME)``, reduced over the episode.
         limited: Numbers of steps in which each safety limit changed the action, by limit.
+        declared: What the environment says of its metrics, by name: budget and limit, if any.
     """
 
     returns: NDArray[np.float64]
@@ -43,12 +45,20 @@ class Episodes:
     diverged: NDArray[np.bool_]
     metrics: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     limited: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
+    declared: Mapping[str, Metric] = field(default_factory=dict)
+
+    @property
+    def keeps_budgets(self) -> bool:
+        """Whether the mean of every metric with a budget is within it."""
+        budgets = {n: how.budget for n, how in self.declared.items() if how.budget is not None}
+        return all(self.metrics[name].mean() <= budget for name, budget in budgets.items())
 
     def summary(self) -> dict[str, float]:
         """Return means over the episodes.
 
-        Success comes with Wilson's 95 % interval, every metric with its 99th percentile;
-        ``safety_<limit>`` is a share of the steps.
+        Success comes with Wilson's 95 % interval, every metric with its 99th percentile and the
+        shares of episodes above its budget and its limit; ``safety_<limit>`` is a share of the
+        steps.
         """
         out = {
             "return": float(self.returns.mean()),
@@ -62,6 +72,8 @@ class Episodes:
         for name, values in self.metrics.items():
             out[f"{METRICS}/{name}"] = float(values.mean())
             out[f"{METRICS}/{name}_p99"] = float(np.percentile(values, 99))
+            for kind, bound in self.declared.get(name, Metric()).bounds.items():
+                out[f"{METRICS}/{name}_above_{kind}"] = float((values > bound).mean())
         steps = self.lengths.sum()
         for limit, count in self.limited.items():
             out[f"{SAFETY}_{limit}"] = float(count.sum() / steps)

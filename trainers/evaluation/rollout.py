@@ -22,7 +22,7 @@ from rrl.keys import ACTION, DIVERGED, METRICS, REWARD, SAFETY, SUCCESS
 from rrl.robot import RobotFault
 from rrl.slot_random import seed_env
 
-from ..environment import Metric
+from ..metric import Metric
 from .episodes import Episodes
 
 __all__ = ["isolated_generators", "rollout", "run_episodes", "whole", "zero_residual"]
@@ -117,7 +117,8 @@ def run_episodes(
         num_episodes: How many.
         seed: Seed of the first episode.
         max_steps: Bound on an episode's length.
-        metrics: How what the environment writes is reduced; names that are missing get the mean.
+        metrics: How what the environment writes is reduced, and its budget and limit; names that
+            are missing get the mean.
     """
     slots = max(env.batch_size.numel(), 1)
     parts = []
@@ -140,6 +141,7 @@ def run_episodes(
         columns.get(DIVERGED, np.zeros(num_episodes)).astype(bool),
         named(METRICS),
         {limit: count.astype(np.int64) for limit, count in named(SAFETY).items()},
+        metrics or {},
     )
 
 

@@ -100,6 +100,12 @@ class Outcome:
         name = metrics.name(metrics.EVALUATION, self.followed, entry)
         return all(name in run.record for run in self.runs)
 
+    def steps_to(self, success: float) -> list[float | None]:
+        """Return each run's environment steps at the first evaluation with that much success."""
+        name = metrics.name(metrics.EVALUATION, self.followed, "success")
+        reached = [[s for s, rate in r.record.get(name, []) if rate >= success] for r in self.runs]
+        return [min(steps, default=None) for steps in reached]
+
     def curve(self, entry: str) -> Curve:
         """Return an entry of the followed scenario's evaluations, over environment steps."""
         name = metrics.name(metrics.EVALUATION, self.followed, entry)

@@ -15,7 +15,7 @@ from .outcomes import Finding, Findings
 from .plan import command
 from .spec import Experiment, Settings
 from .standing import HEADER, standing_row
-from .tables import final_rows, overall_iqm, success_rows
+from .tables import final_rows, overall_iqm, steps_rows, success_rows
 
 __all__ = ["write_report"]
 
@@ -77,6 +77,8 @@ def _experiment(page: Page, experiment: Experiment, finding: Finding, figure: Pa
     page.image(figure.with_suffix(".svg"), f"Experiment `{experiment.name}`")
     if experiment.figure not in ("spread", "tasks"):
         page.table(*final_rows(experiment, finding))
+    if experiment.figure == "curves" and finding.outcomes[0].follows("success"):
+        page.table(*steps_rows(finding))
     if finding.outcomes[0].knows("success") and experiment.figure in ("table", "sweep"):
         page.table(*success_rows(experiment, finding))
     for arm in finding.arms if experiment.sweep else ():

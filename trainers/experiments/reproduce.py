@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,13 @@ from rich.table import Table
 from rich.text import Text
 
 from ..console import Output
+from ..launch.job import Job
 from ..launch.pool import Ending, launch, require_all
 from ..training.interruption import Interruption
 from .claims import Verdict, judge
+from .data import keep, take
 from .figures import draw
+from .numbers import write_numbers
 from .outcomes import Finding, gather
 from .plan import Compose, Point, plan_jobs, plan_points
 from .report import write_report
@@ -59,11 +63,22 @@ def reproduce(
     planning.check()
     console.say(f"the store is {out}")
     jobs = plan_jobs(points, out)
-    ending = launch(jobs, settings.launcher, settings.workers, console, again)
+    ending = _run(jobs, settings, console, again)
     report = out / ("report.html" if not names else f"report-{'-'.join(names)}.html")
     _show(experiments, points, settings, ending, report, console)
     require_all(ending, console)
     return report
+
+
+def _run(jobs: Sequence[Job], settings: Settings, console: Output, again: str) -> Ending:
+    """Take the runs that are kept, run the others and keep them too."""
+    arguments = jobs, settings.launcher, settings.workers, console, again
+    if settings.data is None:
+        return launch(*arguments)
+    data = Path(settings.data).expanduser().resolve()
+    taken = take(jobs, data)
+    console.say(f"{len(taken)} runs are taken from {data}, without what they learned")
+    return launch(*arguments, partial(keep, data=data))
 
 
 def _show(
@@ -78,6 +93,9 @@ def _show(
     findings = gather(points, ending.done, report.parent)
     shown = [experiment for experiment in experiments if experiment.name in findings]
     figures = {e.name: draw(e, findings[e.name], report.parent / "figures") for e in shown}
+    numbers = [
+        write_numbers(e, findings[e.name], figures[e.name].with_suffix(".csv")) for e in shown
+    ]
     verdicts = judge(findings)
     tasks = [experiment for experiment in shown if experiment.figure == "tasks"]
     clips = {e.name: task_videos(findings[e.name], console) for e in tasks}
@@ -87,7 +105,7 @@ def _show(
     for experiment in tasks:
         console.print(_task_table(experiment, findings[experiment.name]))
     write_report(shown, findings, figures, verdicts, video, clips, settings, ending, report)
-    for path in (*figures.values(), report):
+    for path in (*figures.values(), *numbers, report):
         console.say(f"  {path}")
 
 

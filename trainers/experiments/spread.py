@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,10 +11,17 @@ from ..report.runs import Run
 from ..storage.transition_log import FOLDER, TransitionLog
 from .outcomes import Outcome
 
-__all__ = ["spatial_variance", "variances"]
+__all__ = ["POSITIONS", "reads_positions", "spatial_variance", "variances"]
 
+POSITIONS = "positions.json"
+"""Where a run that is kept without its log has the variance."""
 POSITION = "end_effector_position"
 CENTIMETERS = 100.0
+
+
+def reads_positions(run: Run) -> bool:
+    """Return whether the policy reads the end effector's position."""
+    return POSITION in run.config["env"]["inputs"]
 
 
 def spatial_variance(run: Run) -> NDArray[np.float64]:
@@ -21,11 +30,13 @@ def spatial_variance(run: Run) -> NDArray[np.float64]:
     Raises:
         ValueError: If the policy did not read the position.
     """
-    inputs = run.config["env"]["inputs"]
-    if POSITION not in inputs:
+    if not reads_positions(run):
+        inputs = list(run.config["env"]["inputs"])
         raise ValueError(
-            f"{run.path}: expected {POSITION!r} among the policy's inputs, got {list(inputs)}"
+            f"{run.path}: expected {POSITION!r} among the policy's inputs, got {inputs}"
         )
+    if (run.path / POSITIONS).is_file():
+        return np.array(json.loads((run.path / POSITIONS).read_text(encoding="utf-8")))
     log = TransitionLog(run.path / FOLDER)
     transitions, _ = log.read(0, log.count)
     log.close()

@@ -10,8 +10,9 @@ import numpy as np
 
 from ..evaluation.statistics import Interval, mean_interval, success_interval, wilson
 from ..loggers import metrics
+from ..report.notes import ACCEPTED
 from ..report.runs import Run
-from ..report.tables import ACCEPTED, gain, handed_over, with_interval
+from ..report.tables import gain, handed_over, with_interval
 from .outcomes import Outcome
 
 __all__ = ["HEADER", "Standing", "standing", "standing_row"]

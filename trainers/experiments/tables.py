@@ -10,10 +10,13 @@ from ..evaluation.statistics import iqm, iqm_interval, mean_interval, success_in
 from .outcomes import Finding, Outcome
 from .spec import Experiment
 
-__all__ = ["final_rows", "interval_of", "overall_iqm", "success_rows"]
+__all__ = ["final_rows", "interval_of", "overall_iqm", "steps_rows", "success_rows"]
 
 Table = tuple[list[str], list[list[str]]]
 """Header and rows."""
+
+SOLVED = 0.9
+"""Success of the followed episodes that counts as having learned the task."""
 
 TRIALS = 20
 """Of the paper's table; rates are also given as so many of twenty."""
@@ -40,6 +43,20 @@ def final_rows(experiment: Experiment, finding: Finding) -> Table:
         header += [f"{entry}: mean [95 % CI]", f"{entry}: IQM [bootstrap 95 %]"]
         header += [f"controller's {entry}"]
     return header, [_final_row(outcome, bool(setting)) for outcome in finding.outcomes]
+
+
+def steps_rows(finding: Finding) -> Table:
+    """Return how many environment steps the runs of every arm needed."""
+    header = ["arm", f"environment steps to {SOLVED:.0%}, by seed", "median", "reached by"]
+    rows = []
+    for outcome in finding.outcomes:
+        steps = outcome.steps_to(SOLVED)
+        each = ", ".join("never" if s is None else f"{s:.0f}" for s in steps)
+        median = float(np.median([np.inf if s is None else s for s in steps]))
+        middle = f"{median:.0f}" if np.isfinite(median) else "not reached"
+        reached = f"{sum(s is not None for s in steps)} of {len(steps)}"
+        rows.append([outcome.point.arm, each, middle, reached])
+    return header, rows
 
 
 def overall_iqm(outcomes: Sequence[Outcome], entry: str) -> str:

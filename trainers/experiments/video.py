@@ -10,6 +10,7 @@ from ..console import Output
 from ..launch.launchers import spawn
 from ..report.runs import Run
 from ..report.tables import handed_over
+from ..storage.run_files import CHECKPOINTS
 from .outcomes import Finding, Findings, Outcome
 
 __all__ = ["rescue_video", "task_videos"]
@@ -63,6 +64,8 @@ def _rescued(episodes: Mapping[str, Sequence[Any]]) -> list[int]:
 
 
 def _rendered(run: Run, episode: str | int, console: Output) -> Path | None:
+    if not run.videos and not (run.path / CHECKPOINTS).is_dir():
+        return None  # it is kept without what it learned
     if not run.videos:
         console.say(f"rendering an episode of {run.label}")
         log = run.path / "render.txt"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from ..console import Output
@@ -31,23 +31,35 @@ class Ending:
 
 
 def launch(
-    jobs: Sequence[Job], name: str, workers: int | None, console: Output, again: str
+    jobs: Sequence[Job],
+    name: str,
+    workers: int | None,
+    console: Output,
+    again: str,
+    keep: Callable[[Job], None] = lambda job: None,
 ) -> Ending:
     """Run what is not finished yet, and show how far it is.
 
     Args:
         jobs: The runs.
         name: Where they run: ``local`` or ``ray``.
-        workers: How many at a time; None: one a core.
+        workers: How many at a time; None: one a core; 0: nothing is run.
         console: Where to show the progress.
         again: The command that goes on after an interruption.
+        keep: Called with every run that is finished, once it is.
 
     Raises:
         Interrupted: By a signal, after every run that was under way has saved itself.
     """
+    ending = Ending(done=[job for job in jobs if job.finished])
+    for job in ending.done:
+        keep(job)
+    if workers == 0:
+        console.say(f"{len(jobs)} runs, {len(ending.done)} of them finished; none is run now")
+        return ending
     launcher = make(name, workers)
     try:
-        return run_jobs(jobs, launcher, Display(console))
+        return run_jobs(jobs, launcher, Display(console), ending, keep)
     except Interrupted:
         console.say(f"stopped; to go on:\n  {again}")
         raise
@@ -55,16 +67,21 @@ def launch(
         launcher.close()
 
 
-def run_jobs(jobs: Sequence[Job], launcher: Launcher, display: Display) -> Ending:
-    """Run what is not finished yet; see :func:`launch`."""
-    ending = Ending(done=[job for job in jobs if job.finished])
+def run_jobs(
+    jobs: Sequence[Job],
+    launcher: Launcher,
+    display: Display,
+    ending: Ending,
+    keep: Callable[[Job], None],
+) -> Ending:
+    """Run what is not in ``ending`` yet; see :func:`launch`."""
     waiting = [job for job in jobs if job not in ending.done]
     running: dict[Handle, Job] = {}
     interruption = Interruption("stopping the runs; each saves itself")
     with interruption.listening(), display.showing(jobs, ending.done, launcher.slots):
         try:
             while (waiting or running) and interruption.signal is None:
-                _collect(running, ending, display)
+                _collect(running, ending, display, keep)
                 _block(waiting, ending, display)
                 for job in _ready(waiting, ending, launcher.slots - len(running)):
                     waiting.remove(job)
@@ -106,7 +123,9 @@ def _ready(waiting: Sequence[Job], ending: Ending, free: int) -> list[Job]:
     return sorted(able, key=lambda job: (job.path not in needed, -job.total_steps))[: max(0, free)]
 
 
-def _collect(running: dict[Handle, Job], ending: Ending, display: Display) -> None:
+def _collect(
+    running: dict[Handle, Job], ending: Ending, display: Display, keep: Callable[[Job], None]
+) -> None:
     for handle, job in list(running.items()):
         status = handle.poll()
         if status is None:
@@ -115,6 +134,8 @@ def _collect(running: dict[Handle, Job], ending: Ending, display: Display) -> No
         done = status == 0 and job.finished
         (ending.done if done else ending.failed).append(job)
         display.ended(job, done)
+        if done:
+            keep(job)
 
 
 def _block(waiting: list[Job], ending: Ending, display: Display) -> None:

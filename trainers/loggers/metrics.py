@@ -10,6 +10,7 @@ __all__ = [
     "CONSTRAINT",
     "EVALUATION",
     "FINAL",
+    "INTERVENTION",
     "LOSS",
     "REALTIME",
     "SAFETY",
@@ -36,8 +37,9 @@ LOSS = "loss"
 
 EVALUATION = "eval"
 """Followed episodes during training: ``eval/<scenario>/success``, ``.../rescues``,
-``.../controller_success``, ``.../metrics/<name>``, ``.../metrics/<name>_p99``; of what the run
-would hand over ``.../accepted_success``, ``.../accepted_env_steps`` (0: the controller)."""
+``.../controller_success``, ``.../metrics/<name>``, ``.../metrics/<name>_p99``, shares of episodes
+``.../metrics/<name>_above_budget`` and ``.../<name>_above_limit``; of what the run would hand over
+``.../accepted_success``, ``.../accepted_env_steps`` (0: the controller)."""
 
 ACCEPTANCE = "acceptance"
 """The test of a candidate: ``acceptance/episodes`` (pairs; 0: it was none), ``.../evidence`` (1 or
@@ -48,6 +50,10 @@ FINAL = "final"
 
 ACTION = "action"
 """Who does the work: ``action/residual_rms``, ``.../residual_share``, ``.../clip_fraction``."""
+
+INTERVENTION = "intervention"
+"""Share of the training steps that an operator has taken over, ``intervention/steps``, and that no
+residual would have given, ``intervention/exceeds``."""
 
 SAFETY = "safety"
 """Share of the training steps in which a limit changed the action: ``safety/workspace``,

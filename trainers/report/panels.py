@@ -2,19 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from rrl.keys import METRICS
 
 from ..loggers import metrics
 from .curves import ANY
 
-__all__ = ["CHANGES", "FOLLOWED", "LEARNING", "LENGTH", "SHARES", "Panel", "logged", "quantities"]
+__all__ = [
+    "ABOVE",
+    "CHANGES",
+    "FOLLOWED",
+    "LEARNING",
+    "LENGTH",
+    "SHARES",
+    "Declared",
+    "Panel",
+    "logged",
+    "quantities",
+    "quantity_title",
+]
+
+Declared = Mapping[str, Mapping[str, Any]]
+"""What an environment says of its quantities, by name: ``unit``, ``budget``, ``limit``."""
 
 FOLLOWED = "{followed}"
 """Stands in a metric's name for the scenario that is evaluated during training."""
 RATE = (0.0, 1.0)
+ABOVE = "_above_"
+"""In a quantity's name before ``budget`` or ``limit``: the share of episodes above it."""
 
 
 @dataclass(frozen=True)
@@ -66,19 +84,22 @@ SHARES = (
 LENGTH = _evaluated("episode_length", "control steps of an episode")
 
 
-def quantities(entries: Iterable[str], units: dict[str, str]) -> list[Panel]:
+def quantities(entries: Iterable[str], declared: Declared) -> list[Panel]:
     """Return a panel for every ``metrics/<name>`` of an evaluation."""
     found = [entry for entry in entries if entry.startswith(f"{METRICS}/")]
-    return [_evaluated(entry, quantity_title(entry, units)) for entry in found]
+    return [_evaluated(e, quantity_title(e, declared), counted=ABOVE in e) for e in found]
 
 
-def quantity_title(entry: str, units: dict[str, str]) -> str:
-    """Name ``metrics/<name>`` or ``metrics/<name>_p99`` in words, with its unit."""
-    name = entry.partition("/")[2]
+def quantity_title(entry: str, declared: Declared) -> str:
+    """Name a mean, ``..._p99`` or a share ``..._above_...`` of ``metrics/<name>`` in words."""
+    name, _, bound = entry.partition("/")[2].partition(ABOVE)
     base = name.removesuffix("_p99")
+    how, words = declared.get(base, {}), base.replace("_", " ")
+    unit = how.get("unit", "")
+    if bound:
+        return f"{words} above the {bound} {how.get(bound, 0.0):g} {unit}".rstrip() + " [%]"
     tail = ", 99th percentile" if base != name else ", mean"
-    unit = f" [{units[base]}]" if units.get(base) else ""
-    return base.replace("_", " ") + tail + unit
+    return words + tail + (f" [{unit}]" if unit else "")
 
 
 def logged(names: Iterable[str]) -> list[Panel]:

@@ -11,7 +11,7 @@ import yaml
 
 from ..loggers import metrics
 from ..storage.same_run import leaves
-from . import charts, panels, tables
+from . import charts, notes, panels, tables
 from .page import Page
 from .panels import Panel
 from .runs import OWN, Group, Record, Run, group_runs
@@ -86,13 +86,13 @@ def _results(page: Page, groups: Sequence[Group]) -> None:
         header = [tables.COLUMNS[0], "run", *tables.COLUMNS[1:], "each run"]
         page.table(header, [row for s, g in found for row in _success(g, s)])
         for g in groups:
-            for note in tables.notes(g.results)[1:]:
+            for note in notes.notes(g.results, g.declared)[1:]:
                 page.text(f"{g.label}: {note}" if len(groups) > 1 else note)
-        page.text(tables.NOTE)
-        units = {name: unit for group in groups for name, unit in group.units.items()}
+        page.text(notes.NOTE)
+        declared = {name: how for group in groups for name, how in group.declared.items()}
         # All scenarios and groups at once: one header for quantities that not all of them have.
         merged = {f"{s}\n{g.label}": g.results[s] for s, g in found}
-        header, rows = tables.quantity_rows(merged, units)
+        header, rows = tables.quantity_rows(merged, declared)
         page.table(["scenario", "run", *header[1:]], [[*r[0].split("\n"), *r[1:]] for r in rows])
         page.text("Controller alone \u2192 residual, over the final episodes; mean of the runs.")
     for run in (run for group in groups for run in group.runs):
@@ -128,7 +128,7 @@ def _curves(page: Page, groups: Sequence[Group]) -> None:
 
     followed = ", ".join(dict.fromkeys(group.followed for group in groups))
     entries = dict.fromkeys(n for g in groups for n in g.metrics_of(metrics.EVALUATION, g.followed))
-    units = {name: unit for group in groups for name, unit in group.units.items()}
+    declared = {name: how for group in groups for name, how in group.declared.items()}
     limits = dict.fromkeys(n for g in groups for n in g.metrics_of(metrics.SAFETY))
     sections: tuple[tuple[str, Sequence[Panel], str], ...] = (
         (
@@ -156,7 +156,7 @@ def _curves(page: Page, groups: Sequence[Group]) -> None:
         ),
         (
             "Quantities",
-            [*panels.quantities(entries, units), panels.LENGTH],
+            [*panels.quantities(entries, declared), panels.LENGTH],
             f"What the environment reports of the followed episodes, scenario {followed}.",
         ),
         (
@@ -171,6 +171,11 @@ def _curves(page: Page, groups: Sequence[Group]) -> None:
             "inference, steps without an answer in time, faults, the acting policy's age in steps.",
         ),
         ("Losses", panels_of(metrics.LOSS), "Means over the updates of a round."),
+        (
+            "Budgets",
+            panels_of(metrics.CONSTRAINT),
+            "What using up a budget once costs, and what the exploring policy's episodes came to.",
+        ),
         ("Safety limits", panels.safety(limits), "Steps in which a limit changed the action."),
     )
     missing = []

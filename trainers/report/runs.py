@@ -26,7 +26,7 @@ from ..storage.run_files import (
 )
 from ..storage.same_run import leaves
 from .curves import Curve, curve
-from .panels import FOLLOWED
+from .panels import FOLLOWED, Declared
 
 __all__ = ["Group", "Record", "Run", "find_runs", "group_runs"]
 
@@ -145,10 +145,9 @@ class Group:
         return int(self.config["trainer"]["evaluation"]["episodes"])
 
     @property
-    def units(self) -> dict[str, str]:
-        """Units of what the environment reports, by name."""
-        declared = self.config["env"].get("metrics") or {}
-        return {name: (how or {}).get("unit", "") for name, how in declared.items()}
+    def declared(self) -> Declared:
+        """What the environment says of the quantities that it reports, by name."""
+        return {name: how or {} for name, how in (self.config["env"].get("metrics") or {}).items()}
 
     @cached_property
     def results(self) -> dict[str, list[Record]]:

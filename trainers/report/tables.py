@@ -21,22 +21,20 @@ from ..evaluation.statistics import (
     wilson,
 )
 from .curves import Floats
-from .panels import quantity_title
+from .notes import ACCEPTED, Results, is_frozen, notes
+from .panels import ABOVE, Declared, quantity_title
 from .runs import Record
 
 if TYPE_CHECKING:  # without torch a report of finished runs is quick
     from ..evaluation.episodes import Comparison
 
 __all__ = [
-    "ACCEPTED",
     "COLUMNS",
     "EPISODE_COLUMNS",
-    "Results",
     "episode_rows",
     "gain",
     "handed_over",
     "markdown_tables",
-    "notes",
     "one_run",
     "quantity_rows",
     "success_cells",
@@ -45,23 +43,8 @@ __all__ = [
     "with_interval",
 ]
 
-Results = Mapping[str, Sequence[Record]]
-"""Scenario to the records of the runs that are shown as one."""
-
 COLUMNS = ("scenario", "controller", "residual", "gain", "rescued", "broken")
 EPISODE_COLUMNS = ("scenario", "episode", "outcome", "entry", "controller", "residual")
-NOTE = (
-    "Brackets hold 95 % intervals. Controller, and residual of one run: Wilson's, over its "
-    "episodes. Residual of several runs: the success rate of runs like these, beta-binomial, or "
-    "Student's t of the return. Gain: paired on the same frozen episodes. Rescued and broken: "
-    "episodes that only the residual or only the controller solves, mean of the runs."
-)
-UNPAIRED = (
-    "The episodes of {} are not frozen: played twice they came out differently. Controller and "
-    "residual are independent samples there; the gain has the interval of these, and no episode is "
-    "called rescued or broken."
-)
-ACCEPTED = "accepted_"
 HANDED_OVER = ", handed over"
 OUTCOMES: Mapping[tuple[bool, ...], str] = {
     (False, True): "rescued",
@@ -110,7 +93,7 @@ def success_rows(results: Results) -> list[list[str]]:
 def success_cells(records: Sequence[Record]) -> list[str]:
     """Return a scenario's row after its name; returns stand in where there is no success."""
     entry, values, alone = _compared(records)
-    frozen = all(map(_frozen, records))
+    frozen = all(map(is_frozen, records))
     change, interval = gain(records)
     alone = alone[:1] if frozen else alone  # frozen, it is the same in every run
     if entry == "return":
@@ -137,7 +120,7 @@ def gain(records: Sequence[Record]) -> tuple[float, Interval]:
     """
     entry, values, alone = _compared(records)
     bound = 1.0 if entry == "success" else None
-    frozen = all(map(_frozen, records))
+    frozen = all(map(is_frozen, records))
     interval = (
         paired_interval(values - alone, bound)
         if frozen
@@ -158,43 +141,6 @@ def _mean_change(records: Sequence[Record], key: str) -> str:
     return f"{np.mean([record['summary'][key] for record in records]):.1f}".removesuffix(".0")
 
 
-def _frozen(record: Record) -> bool:
-    return bool(record["summary"].get("frozen", True))
-
-
-def notes(results: Results) -> list[str]:
-    """Return how the tables are to be read, and what the runs hand over."""
-    found = [NOTE]
-    loose = [name for name, records in results.items() if not all(map(_frozen, records))]
-    if loose:
-        found.append(UNPAIRED.format(", ".join(loose)))
-    records = next(iter(results.values()), ())
-    steps = [r["summary"].get(f"{ACCEPTED}env_steps") for r in records]
-    tested = [int(step) for step in steps if step is not None]
-    if tested:
-        found.append(_what_is_handed_over(tested))
-    return found
-
-
-def _what_is_handed_over(steps: Sequence[int]) -> str:
-    """Say what the runs hand over; 0 steps stand for the controller."""
-    learned = [step for step in steps if step]
-    if len(steps) > 1:
-        return (
-            f"Handed over: a learned policy by {len(learned)} of {len(steps)} runs, the controller "
-            "alone by the others, in which no policy passed the test against it."
-        )
-    if not learned:
-        return (
-            "Handed over: the controller alone. No policy passed the test that it is not worse "
-            "than the controller."
-        )
-    return (
-        f"Handed over: the policy after {learned[0]} environment steps, which passed the test that "
-        "it is not worse than the controller."
-    )
-
-
 def with_interval(
     value: float, interval: tuple[float, float], scale: float = 1.0, sign: str = "-"
 ) -> str:
@@ -213,29 +159,34 @@ def with_interval(
 
 
 def quantity_rows(
-    results: Results, units: Mapping[str, str], everything: bool = True
+    results: Results, declared: Declared, everything: bool = True
 ) -> tuple[list[str], list[list[str]]]:
     """Return header and rows of all other quantities, ``controller -> residual``.
 
     Args:
         results: What to show.
-        units: Units of what the environment reports, by name.
+        declared: What the environment says of its quantities.
         everything: Also what every environment has: return, length, divergence.
     """
     known = dict.fromkeys(key for records in results.values() for key in records[0]["summary"])
     titles = {key: BASIC[key] for key in BASIC if everything and key in known}
-    titles |= {k: quantity_title(k, dict(units)) for k in known if k.startswith(f"{METRICS}/")}
+    reported = [key for key in known if key.startswith(f"{METRICS}/")]
+    titles |= {key: quantity_title(key, declared) for key in reported}
     rows = []
     for scenario, records in results.items():
         summaries = [record["summary"] for record in records]
         cells = [
-            " \u2192 ".join(f"{np.mean([s[k] for s in summaries]):.2f}" for k in pair)
-            if pair[0] in summaries[0]
-            else ""
+            " \u2192 ".join(_mean(summaries, k) for k in pair) if pair[0] in summaries[0] else ""
             for pair in ((f"controller_{key}", key) for key in titles)
         ]
         rows.append([scenario, *cells])
     return ["scenario", *titles.values()], rows
+
+
+def _mean(summaries: Sequence[Mapping[str, Any]], key: str) -> str:
+    """The mean of an entry over runs; of a share in per cent."""
+    mean = np.mean([summary[key] for summary in summaries])
+    return f"{100 * mean:.1f}" if ABOVE in key else f"{mean:.2f}"
 
 
 def episode_rows(results: Results) -> list[list[Any]]:
@@ -244,7 +195,7 @@ def episode_rows(results: Results) -> list[list[Any]]:
         [scenario, *row]
         for scenario, records in results.items()
         for record in records
-        for row in _episodes(record["episodes"], _frozen(record))
+        for row in _episodes(record["episodes"], is_frozen(record))
     ]
 
 
@@ -258,24 +209,26 @@ def _episodes(episodes: Mapping[str, Sequence[Any]], frozen: bool) -> Iterator[l
             yield [i, OUTCOMES.get(solved), key, *pair]
 
 
-def terminal_tables(results: Results, units: Mapping[str, str], title: str) -> Blocks:
+def terminal_tables(results: Results, declared: Declared, title: str) -> Blocks:
     """Return the tables for the terminal."""
     count = len(next(iter(results.values()))[0]["episodes"]["return"])
     tables = [Table(*COLUMNS, title=title, title_justify="left")]
     for row in success_rows(results):
         tables[0].add_row(*row)
-    header, rows = quantity_rows(results, units, everything=False)
+    header, rows = quantity_rows(results, declared, everything=False)
     if len(header) > 1:
         tables.append(Table(*header))
         for row in rows:
             tables[1].add_row(*row)
-    return Blocks(*tables, f"{count} final episodes a scenario. {' '.join(notes(results))}")
+    return Blocks(
+        *tables, f"{count} final episodes a scenario. {' '.join(notes(results, declared))}"
+    )
 
 
-def markdown_tables(results: Results, units: Mapping[str, str]) -> str:
+def markdown_tables(results: Results, declared: Declared) -> str:
     """Return the tables for a README."""
     blocks = []
-    for header, rows in ((COLUMNS, success_rows(results)), quantity_rows(results, units)):
+    for header, rows in ((COLUMNS, success_rows(results)), quantity_rows(results, declared)):
         lines = ["| " + " | ".join(row) + " |" for row in (header, *rows)]
         blocks.append("\n".join([lines[0], "|" + "---|" * len(header), *lines[1:]]))
-    return "\n\n".join([*blocks, *notes(results), ""])
+    return "\n\n".join([*blocks, *notes(results, declared), ""])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import hashlib
 import json
@@ -15,9 +16,12 @@ SCHEMA_VERSION = 2
 
 
 def write_atomically(path: Path, text: str) -> None:
-    """Replace ``path`` by ``text``; a reader finds all of the old or all of the new."""
+    """Replace ``path`` by ``text``; a reader finds all of the old or all of the new.
+
+    Paths in ``text`` whose bytes Python could not decode are written as these bytes.
+    """
     partial = path.with_name(f".{path.name}.partial")
-    with partial.open("w", encoding="utf-8") as file:
+    with partial.open("w", encoding="utf-8", errors="surrogateescape") as file:
         file.write(text)
         file.flush()
         os.fsync(file.fileno())
@@ -26,10 +30,20 @@ def write_atomically(path: Path, text: str) -> None:
 
 
 def sync(path: Path) -> None:
-    """Have the disk itself hold a file's content, or a directory's list of names."""
+    """Have the disk itself hold a file's content, or a directory's list of names.
+
+    Some file systems (network shares, FUSE) have no such operation for a directory and say EINVAL;
+    there it is theirs to keep the names.
+
+    Raises:
+        OSError: With the path, if the disk cannot hold it.
+    """
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
+    except OSError as error:
+        if error.errno != errno.EINVAL or not path.is_dir():
+            raise OSError(error.errno, error.strerror, str(path)) from error
     finally:
         os.close(descriptor)
 

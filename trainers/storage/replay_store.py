@@ -7,21 +7,35 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
-from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.data import LazyTensorStorage, RandomSampler, TensorDictReplayBuffer
 
-from rrl.keys import ACTION
+from rrl.interventions import InterventionSampler, relabel_interventions
+from rrl.keys import ACTION, EXCEEDS_AUTHORITY, INTERVENED, INTERVENTION
 from rrl.n_step import n_step_transitions
 
 from .finite import require_finite
+from .room import require_room
+from .stored_images import StoredImages
 from .transition_log import FOLDER, TransitionLog
 
-__all__ = ["ReplayStore", "stored_keys"]
+__all__ = ["ReplayStore", "as_stored", "stored_keys"]
 
 log = logging.getLogger(__name__)
 
 CHUNK = 2**16
 """Records read at once when a buffer is filled from the log."""
+
+OLDEST = 4096
+"""So many of the oldest transitions name the oldest frame: more than there are environments."""
+
+IMAGE_BATCHES = 4
+"""Batches with images that are sampled at once: their images take more memory than all else."""
+
+
+FLAGS = (INTERVENED, EXCEEDS_AUTHORITY)
+"""Of a transition, where an operator may take over; nothing that is learned from."""
 
 
 def stored_keys(inputs: Iterable[NestedKey]) -> list[NestedKey]:
@@ -35,8 +49,26 @@ def stored_keys(inputs: Iterable[NestedKey]) -> list[NestedKey]:
     return [*inputs, ACTION, *nested]
 
 
+def as_stored(data: TensorDictBase, inputs: Iterable[NestedKey]) -> TensorDictBase:
+    """Return what is kept of collected steps ``[E, T]``.
+
+    Where an operator may take over, the action in ``data`` becomes the residual that was executed,
+    and two flags are kept beside it (:func:`rrl.interventions.relabel_interventions`).
+
+    Args:
+        data: What the environment wrote.
+        inputs: What is kept of a state.
+    """
+    operated = INTERVENTION in data["next"].keys()  # noqa: SIM118 - a TensorDict is no dict
+    if operated:
+        data = relabel_interventions(data)
+    return data.select(*stored_keys(inputs), *(FLAGS if operated else ()))
+
+
 class ReplayStore:
     """Stores every transition twice: in the buffer in memory and, first, in the log on disk.
+
+    Images are stored beside them, each frame once (:class:`.stored_images.StoredImages`).
 
     Record ``n`` of the log is entry ``n % capacity`` of the buffer. A checkpoint therefore needs
     only a position in the log, whatever the buffer's size. What the log holds beyond that position
@@ -55,6 +87,8 @@ class ReplayStore:
         n_step: Rewards that a stored transition sums (:func:`rrl.n_step.n_step_transitions`).
         gamma: Their discount.
         device: Where the buffer lies.
+        intervention_share: Part of every batch that comes from steps that an operator has taken
+            over.
 
     Attributes:
         count: Transitions stored so far.
@@ -68,11 +102,18 @@ class ReplayStore:
         n_step: int = 1,
         gamma: float = 1.0,
         device: str = "cpu",
+        intervention_share: float = 0.0,
     ) -> None:
         self.n_step, self.gamma = n_step, gamma
         self.capacity, self.batch_size = capacity, batch_size
-        self.replay = TensorDictReplayBuffer(storage=LazyTensorStorage(capacity, device=device))
+        self.run_dir, self.device = run_dir, device
+        share = intervention_share
+        self.replay = TensorDictReplayBuffer(
+            storage=LazyTensorStorage(capacity, device=device),
+            sampler=InterventionSampler(share) if share else RandomSampler(),
+        )
         self.log = TransitionLog(run_dir / FOLDER)
+        self.images = StoredImages(run_dir / FOLDER, device)
         self.keys: list[NestedKey] = []
         self.count = 0
 
@@ -81,14 +122,32 @@ class ReplayStore:
         """Transitions in the log that are not in the buffer."""
         return self.log.count - self.count
 
+    def portions(self, k: int) -> list[int]:
+        """Divide ``k`` batches into how many of them should be sampled at once."""
+        most = IMAGE_BATCHES if self.images else max(k, 1)
+        return [min(most, k - first) for first in range(0, k, most)]
+
+    def require_room(self, transition_bytes: int) -> None:
+        """Refuse a run whose transitions do not fit; the buffer takes its memory with the first.
+
+        Args:
+            transition_bytes: What a transition takes.
+
+        Raises:
+            ValueError: If ``capacity`` of them are more than memory or disk can take.
+        """
+        require_room(
+            self.run_dir, self.capacity, transition_bytes, self.device, on_disk=self.log.count
+        )
+
     def sample(self, k: int) -> TensorDictBase:
-        """Draw ``k`` batches uniformly with replacement, ``[k, B]``."""
-        data = self.replay.sample(k * self.batch_size)
-        return data.select(*self.keys).reshape(k, self.batch_size)
+        """Draw ``k`` batches with replacement, ``[k, B]``."""
+        data = self.replay.sample(k * self.batch_size).select(*self.keys)
+        return self.images.get(data).reshape(k, self.batch_size)
 
     def newest(self) -> TensorDictBase:
         """Return all transitions in the buffer, ``[n]``."""
-        return self.replay[:].select(*self.keys)
+        return self.images.get(self.replay[:].select(*self.keys))
 
     def extend(self, data: TensorDictBase) -> TensorDictBase:
         """Store collected ``data`` [E, T]; when this returns it survives the process.
@@ -100,6 +159,7 @@ class ReplayStore:
             FloatingPointError: If there are numbers in it that are not finite; nothing is stored.
             OSError: If the disk is full or gone.
         """
+        data = self.images.put(data, self._last(len(data)) if self.images else None)
         if self.n_step > 1:
             data = n_step_transitions(data, self.n_step, self.gamma)
         transitions = data.transpose(0, 1).reshape(-1)  # in the order of time
@@ -107,12 +167,16 @@ class ReplayStore:
         self.log.append(transitions)
         self._extend_buffer(transitions)
         self.count += len(transitions)
+        if self.images and self.count > self.capacity:
+            slots = range(self.count, self.count + min(OLDEST, self.capacity))
+            self.images.forget(self._at(slots), on_disk=False)
         return transitions
 
     def set_pending_aside(self) -> None:
         """Move the pending transitions to a tail file."""
         number = self.pending
         tail = self.log.cut(self.count)
+        self.images.cut()
         if tail is not None and number:
             log.warning(
                 "%d transitions were stored after the checkpoint: the simulation makes them again, "
@@ -124,7 +188,11 @@ class ReplayStore:
     def keep_whole_rounds(self, size: int) -> None:
         """Leave pending what :meth:`recover` can take in rounds of ``size``; set the rest aside."""
         whole = self.pending // size * size
+        pending = self.log.read(self.count, self.count + whole)[0] if whole else TensorDict()
+        while whole and not self.images.are_whole(pending[:whole]):
+            whole -= size
         self.log.cut(self.count + whole)
+        self.images.cut(pending[:whole] if whole else None)
         if whole:
             log.warning(
                 "%d transitions were stored after the checkpoint; they are learned from again",
@@ -135,12 +203,13 @@ class ReplayStore:
         """Put the next ``size`` pending transitions into the buffer, and return them."""
         return self._fill(self.count, self.count + size)
 
-    def mark(self) -> dict[str, int]:
+    def mark(self) -> dict[str, Any]:
         """Return where the buffer stands in the log, which is then on disk up to there."""
         self.log.sync()
-        return {"count": self.count, "checksum": self.log.checksum(self.count)}
+        mark = {"count": self.count, "checksum": self.log.checksum(self.count)}
+        return mark | ({"images": self.images.mark()} if self.images else {})
 
-    def check(self, mark: Mapping[str, int]) -> None:
+    def check(self, mark: Mapping[str, Any]) -> None:
         """Compare the log with a mark.
 
         Raises:
@@ -154,6 +223,19 @@ class ReplayStore:
                 f"{self.log.folder}: expected record {count - 1} as the checkpoint knows it, "
                 "got another"
             )
+        self.images.check(mark.get("images", {}))
+
+    def forget(self, first: int) -> None:
+        """Remove what is on disk of transitions before ``first``, file by file."""
+        self.log.forget(first)
+        if self.images and first > 0:
+            oldest, _ = self.log.read(first, min(first + OLDEST, self.log.count))
+            self.images.forget(oldest, on_disk=True)
+
+    def close(self) -> None:
+        """Close the files that grow."""
+        self.log.close()
+        self.images.close()
 
     def state_dict(self) -> dict[str, Any]:
         """Return the position in the log; the transitions themselves are on disk already."""
@@ -166,19 +248,32 @@ class ReplayStore:
         self.replay.empty()
         writer = {"_cursor": first % self.capacity, "_write_count": first}
         self.replay.writer.load_state_dict(writer)
-        self._fill(first, last)
+        self._fill(first, last, anew=True)
+
+    def _last(self, n: int) -> TensorDictBase | None:
+        """Return the newest ``n`` transitions, in the order of time, without their images."""
+        return self._at(range(self.count - n, self.count)) if self.count >= n else None
+
+    def _at(self, places: range) -> TensorDictBase:
+        return self.replay[torch.tensor([place % self.capacity for place in places])]
 
     def _extend_buffer(self, transitions: TensorDictBase) -> None:
-        self.keys = list(transitions.keys(True, True))
+        self.keys = [key for key in transitions.keys(True, True) if key not in FLAGS]
         self.replay.extend(transitions)
 
-    def _fill(self, first: int, last: int) -> TensorDict:
+    def _fill(self, first: int, last: int, anew: bool = False) -> TensorDict:
         """Put records into the buffer; return those of the last chunk."""
         transitions = TensorDict()
         for start in range(first, last, CHUNK):
             transitions, damaged = self.log.read(start, min(start + CHUNK, last))
             if damaged:
                 self._replace(transitions, damaged, start)
+            for key, bad in self.images.load(transitions, anew and start == first).items():
+                log.warning(
+                    "%d frames of %s are damaged on disk (%s, ...); each is replaced by the one "
+                    "before",
+                    *(len(bad), key, bad[0]),
+                )
             self._extend_buffer(transitions)
         self.count = last
         return transitions

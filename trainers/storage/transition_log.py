@@ -93,7 +93,7 @@ class TransitionLog:
         records = self._records(first, last)
         damaged = self._damaged(records, first)
         fields = {
-            tuple(json.loads(name)): torch.from_numpy(np.ascontiguousarray(records[name]))
+            tuple(json.loads(name)): torch.from_numpy(records[name].copy())
             for name in self._record.names or ()
             if name != CHECKSUM
         }

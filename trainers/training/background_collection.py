@@ -28,7 +28,8 @@ from rrl.algorithms.compilation import import_compiler
 from ..environment import EnvironmentFactory
 from ..settings import TrainerSettings
 from ..storage.plain_state import from_plain, to_plain
-from .collection import Collection, Exploration, InTurn, Metrics
+from .collection import Collection, InTurn, Metrics
+from .interface import Exploration
 from .interruption import SIGNALS
 from .policy_vector import assign, flatten
 from .profiling import as_background

@@ -7,7 +7,8 @@ from pathlib import Path
 from ..environment import EnvironmentFactory
 from ..settings import TrainerSettings
 from .background_collection import InBackground
-from .collection import Collection, Exploration, InTurn
+from .collection import Collection, InTurn
+from .interface import Exploration
 from .realtime.collection import RealTime
 
 __all__ = ["make_collection"]

@@ -3,77 +3,29 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
 from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.collectors import Collector
-from torchrl.envs.transforms import InitTracker
 from torchrl.envs.utils import ExplorationType
 
-from rrl.inputs import Input
-from rrl.keys import ACTION, METRICS, SO_FAR
-from rrl.slot_random import seed_env
-from rrl.transforms import EpisodeValue
+from rrl.keys import ACTION
 
-from ..environment import EnvironmentFactory, ResumableEnv
-from ..seeds import Stream, first_seed
+from ..environment import EnvironmentFactory
 from ..settings import TrainerSettings
-from ..storage.replay_store import stored_keys
+from ..storage.replay_store import as_stored
 from .collection_metrics import Authority, EpisodeReturns, collection_metrics
-from .constraints import budgets
 from .episode_state import EpisodeInProgress
+from .interface import Exploration, Interface, prepare
 from .profiling import measured, watch_collection
 
-__all__ = ["Collection", "Exploration", "InTurn", "Interface", "prepare"]
+__all__ = ["Collection", "InTurn"]
 
 Metrics = dict[str, float]
-
-Exploration = Callable[..., TensorDictModuleBase | None]
-"""Makes TorchRL's exploration module, or None where the policy explores by itself; called with
-``spec``."""
-
-
-@dataclass(frozen=True)
-class Interface:
-    """What a learner must know of the environment.
-
-    Attributes:
-        inputs: The policy's inputs.
-        action_size: Numbers of an action.
-        costs: Entries that constraints are about.
-    """
-
-    inputs: dict[str, Input]
-    action_size: int
-    costs: tuple[NestedKey, ...] = ()
-
-    @property
-    def kept(self) -> list[NestedKey]:
-        """What is stored of a state."""
-        return [*self.inputs, *self.costs]
-
-
-def prepare(
-    settings: TrainerSettings, environment: EnvironmentFactory, exploration: Exploration
-) -> tuple[ResumableEnv, Interface, TensorDictModuleBase | None]:
-    """Build the training environment, seeded, and the exploration module for it."""
-    env = environment.make(settings.num_envs)
-    seed_env(env, first_seed(Stream.TRAINING, settings.seed))
-    spec = env.full_action_spec[ACTION]
-    explore = exploration(spec=spec)
-    if hasattr(explore, "is_init_key"):  # a process that starts anew with an episode
-        env.append_transform(InitTracker())
-    constrained = budgets(environment.metrics, settings.constraints)
-    if constrained:
-        reductions = {(METRICS, n): environment.metrics[n].reduce for n in constrained}
-        env.append_transform(EpisodeValue(reductions))
-    costs = tuple((SO_FAR, name) for name in constrained)
-    return env, Interface(environment.read_inputs(env), spec.shape[-1], costs), explore
 
 
 class Collection(ABC):
@@ -192,8 +144,9 @@ class InTurn(Collection):
             kept = self.interface.kept
             if self.env.__dict__.get("_torchrl_native_autoreset", False):
                 _fill_in_last_observations(data, kept)
+            stored = as_stored(data, kept)
             values = collection_metrics(data, Authority.of(self.env)) | self._returns.metrics(data)
-        return data.select(*stored_keys(kept)), values | measured(self.stopwatch)
+        return stored, values | measured(self.stopwatch)
 
     @property
     def can_continue(self) -> bool:

@@ -9,7 +9,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 
-from rrl.keys import ACTION, BASE_ACTION, DIVERGED, REWARD_TERMS, SAFETY, SUCCESS
+from rrl.keys import ACTION, BASE_ACTION, DIVERGED, INTERVENTION, REWARD_TERMS, SAFETY, SUCCESS
 from rrl.transforms import ResidualAction
 
 from ..loggers import metrics
@@ -87,6 +87,9 @@ def collection_metrics(data: TensorDictBase, authority: Authority) -> dict[str, 
         values[metrics.name(metrics.TRAIN, "success")] = float(solved.sum() / ended.sum())
     if DIVERGED in following:
         values[metrics.name(metrics.TRAIN, DIVERGED)] = float(following[DIVERGED].sum())
+    if (told := following.get(INTERVENTION, None)) is not None:
+        values[metrics.name(metrics.INTERVENTION, "steps")] = _mean(told["active"])
+        values[metrics.name(metrics.INTERVENTION, "exceeds")] = _mean(told["exceeds"])
     for limit, changed in following.get(SAFETY, {}).items():
         values[metrics.name(metrics.SAFETY, limit)] = _mean(changed)
     return values | _shares(data, authority)

@@ -13,8 +13,8 @@ from rrl.algorithms import Multiplier
 from rrl.keys import SO_FAR
 from rrl.n_step import STEPS
 
-from ..environment import Metric
 from ..loggers import metrics as names
+from ..metric import Metric
 from ..settings import ConstraintSettings
 
 __all__ = ["Constraints", "budgets"]

@@ -41,7 +41,9 @@ class EpisodeInProgress:
     def can_continue(self) -> bool:
         """Whether the bare environment goes on from a restored state as if nothing had happened."""
         if self._can_continue is None:
-            tried, self._can_continue = goes_on_from_its_state(self.env.base_env)
+            tried, self._can_continue = goes_on_from_its_state(
+                self.env.base_env, self.env.next_input
+            )
             if tried and not self._can_continue:
                 self.collector.reset()  # the trial has moved the environment
         return self._can_continue
@@ -73,7 +75,7 @@ class EpisodeInProgress:
         self.collector.reset()
 
 
-def goes_on_from_its_state(env: EnvBase) -> tuple[bool, bool]:
+def goes_on_from_its_state(env: EnvBase, root: TensorDictBase) -> tuple[bool, bool]:
     """Return whether it was tried, and whether an environment put back is where it was.
 
     It is if it makes the same step again, and then reports the same state. The action is zero, or
@@ -81,8 +83,16 @@ def goes_on_from_its_state(env: EnvBase) -> tuple[bool, bool]:
 
     Nothing is tried on an environment that has no episode's state to give: one whose ``state_dict``
     is empty, or holds nothing but its modules' parameters and buffers.
+
+    Args:
+        env: The bare environment.
+        root: What its last reset or step gave; transforms of its own read it with the action.
     """
-    state = dict(env.state_dict())
+    try:
+        state = dict(env.state_dict())
+    except Exception as error:  # parts of TorchRL's have none before their first step
+        _say_why(error)
+        return False, False
     modules = {name for name, _ in env.named_parameters()} | {n for n, _ in env.named_buffers()}
     if not _has_content({key: value for key, value in state.items() if key not in modules}):
         return False, False
@@ -90,8 +100,7 @@ def goes_on_from_its_state(env: EnvBase) -> tuple[bool, bool]:
     action = spec.project(spec.zero())  # zero may be out of bounds
 
     def step() -> TensorDictBase:
-        root = TensorDict({ACTION: action}, env.batch_size)
-        return env.step(root)["next"].clone()
+        return env.step(root.clone().set(ACTION, action))["next"].clone()
 
     try:
         before = copy.deepcopy(state)
@@ -101,13 +110,17 @@ def goes_on_from_its_state(env: EnvBase) -> tuple[bool, bool]:
         _put_back(env, before)
         after = env.state_dict()
     except Exception as error:  # no way back, whatever the reason
-        log.warning(
-            "the environment's state cannot be restored (%s: %s); a resumed run begins an episode",
-            type(error).__name__,
-            error,
-        )
+        _say_why(error)
         return True, False
     return True, _equal(first.to_dict(), second.to_dict()) and _equal(dict(after), before)
+
+
+def _say_why(error: Exception) -> None:
+    log.warning(
+        "the environment's state cannot be restored (%s: %s); a resumed run begins an episode",
+        type(error).__name__,
+        error,
+    )
 
 
 def _put_back(env: EnvBase, state: Mapping[str, Any]) -> None:

@@ -26,9 +26,10 @@ from ..storage.replay_store import ReplayStore
 from ..storage.same_run import require_same_run
 from .acceptance import Acceptance
 from .collecting import make_collection
-from .collection import Exploration, Metrics
+from .collection import Metrics
 from .constraints import Constraints
 from .counters import Counters
+from .interface import Exploration
 from .interruption import Interruption
 from .learner import default_agent, default_exploration
 from .learning import Learning
@@ -79,23 +80,25 @@ class Trainer:
         self.interruption = Interruption()
         self.progress = progress or Progress.silent()
         self.stopwatch, self.profile = Stopwatch(), Profile()
+        settings.check_operator(environment.intervention is not None)
         configure_torch(settings)
         self.run_dir.mkdir(parents=True, exist_ok=True)
         explore = exploration or default_exploration()
         self.collection = make_collection(settings, environment, explore, self.run_dir)
-        interface = self.collection.interface
         make_agent = agent or default_agent(environment)
-        self.agent = make_agent(inputs=interface.inputs, action_size=interface.action_size)
+        self.agent = make_agent(**self.collection.interface.arguments())
         self.agent.to(settings.device)
         self.collection.set_policy(self.agent.policy)
         self.store = ReplayStore(
             self.run_dir,
-            settings.buffer_capacity,
+            settings.kept_transitions,
             settings.batch_size,
             settings.n_step,
             self.agent.gamma,
             settings.device,
+            settings.intervention_share,
         )
+        self.store.require_room(self.collection.interface.transition_bytes)
         self.replay = self.store.replay
         self.constraints = Constraints(environment.metrics, settings.constraints, settings.n_step)
         self.evaluator = Evaluator(scenarios or {"training": environment}, settings.evaluation)
@@ -165,8 +168,7 @@ class Trainer:
 
         Raises:
             Interrupted: If a signal asked for it; the run is saved.
-            FileExistsError: See :meth:`require_new_or_resumed`.
-            BlockingIOError: See :meth:`require_new_or_resumed`.
+            FileExistsError, BlockingIOError: See :meth:`require_new_or_resumed`.
             FloatingPointError: If losses or parameters are not finite; the checkpoint before stays.
         """
         settings = self.settings
@@ -204,7 +206,7 @@ class Trainer:
         for logger in self.loggers:
             logger.finish()
         self.checkpoints.release()
-        self.store.log.close()
+        self.store.close()
         for close in (self.evaluator.close, self.collection.close):
             try:
                 close()
@@ -260,7 +262,7 @@ class Trainer:
             logger.flush()
         note = {"transitions": self.store.mark(), "config": self.config}
         self.checkpoints.save(self.env_steps, note)
-        self.store.log.forget(self.checkpoints.oldest_transition() - self.store.capacity)
+        self.store.forget(self.checkpoints.oldest_transition() - self.store.capacity)
 
     def _stop_if_asked(self) -> None:
         if self.interruption.signal is not None and not self.collection.is_ahead:

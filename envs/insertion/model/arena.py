@@ -12,7 +12,7 @@ __all__ = ["CAMERAS", "PlatformArena"]
 
 TABLE_HEIGHT = 0.75
 """Of the platform's surface, z = 0, above the floor, m."""
-CAMERAS = ("overview", "closeup", "front")
+CAMERAS = ("overview", "closeup", "front", "gap")
 
 
 class PlatformArena(composer.Arena):
@@ -89,9 +89,14 @@ class PlatformArena(composer.Arena):
         middle = world.add("body", name="arm_target", pos=(x - 0.24, y, 0.27))
         for name, position, aim, fovy in zip(
             CAMERAS,
-            ((x + 0.50, y - 1.60, 0.62), (x + 0.16, y - 0.50, 0.26), (x + 0.75, y - 0.12, 0.30)),
-            (middle, target, target),
-            (40, 38, 38),
+            (
+                (x + 0.50, y - 1.60, 0.62),
+                (x + 0.16, y - 0.50, 0.26),
+                (x + 0.75, y - 0.12, 0.30),
+                (x, y - 0.27, 0.37),  # along the gap, from above: shows it and the blocks' yaws
+            ),
+            (middle, target, target, target),
+            (40, 38, 38, 34),
             strict=True,
         ):
             world.add("camera", name=name, pos=position, mode="targetbody", target=aim, fovy=fovy)

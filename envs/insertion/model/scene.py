@@ -37,7 +37,10 @@ def build_scene(config: InsertionConfig) -> PlatformArena:
         add_cartesian_actuators(arena.mjcf_model, config, held.center_site)
     else:
         add_joint_actuators(arena.mjcf_model, config, arm.joints)
-    add_sensors(arena.mjcf_model, arm, held, frames)
+    gap = arena.mjcf_model.worldbody.add(
+        "site", name="gap", pos=config.goal, size=(0.002,), rgba=(0, 0, 0, 0)
+    )
+    add_sensors(arena.mjcf_model, arm, held, frames, gap)
     return arena
 
 

@@ -10,7 +10,7 @@ from .sawyer import Sawyer
 __all__ = ["add_sensors"]
 
 
-def add_sensors(root: Any, arm: Sawyer, held: HeldBlock, blocks: list[Any]) -> None:
+def add_sensors(root: Any, arm: Sawyer, held: HeldBlock, blocks: list[Any], gap: Any) -> None:
     """Add the task's sensors; numbered ones (``name.index``) become one signal.
 
     ======================  =========  =========================================================
@@ -28,6 +28,7 @@ def add_sensors(root: Any, arm: Sawyer, held: HeldBlock, blocks: list[Any]) -> N
     ``block_position``      [2, 3]     middles of the left and right standing block, m
     ``block_y_axis``        [2, 3]     long axis of the standing blocks
     ``block_z_axis``        [2, 3]     their upward axis
+    ``goal_position``       [3]        where the middle of the held block belongs, m
     ======================  =========  =========================================================
 
     All in world coordinates.
@@ -37,6 +38,7 @@ def add_sensors(root: Any, arm: Sawyer, held: HeldBlock, blocks: list[Any]) -> N
         arm: The arm.
         held: The block in the hand; its center is the tool's.
         blocks: MJCF bodies of the left and right standing block.
+        gap: Site in the middle of the gap between them.
     """
     sensor = root.sensor
 
@@ -59,3 +61,4 @@ def add_sensors(root: Any, arm: Sawyer, held: HeldBlock, blocks: list[Any]) -> N
     frame("framepos", "block_position", blocks)
     frame("frameyaxis", "block_y_axis", blocks)
     frame("framezaxis", "block_z_axis", blocks)
+    sensor.add("framepos", name="goal_position", objtype="site", objname=gap)

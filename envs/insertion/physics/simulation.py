@@ -49,6 +49,7 @@ class BatchSimulation:
         state: Full physics state: time, positions, velocities, [B, nstate].
         sensors: Sensordata of the last substep, [B, n].
         yaw: Yaw of the left and right standing block at the last reset, [B, 2] [rad].
+        place: How far they stood from where the robot believes them, x and y, [B, 2] [m].
         start: The nominal start of an episode.
     """
 
@@ -56,8 +57,8 @@ class BatchSimulation:
         model = compile_model(config)
         self.config = config
         self.start = StartState(model, config)
-        # Per-environment models exist only where an episode's yaw is part of the model.
-        shared = not self.start.yaw_in_model
+        # Per-environment models exist only where part of an episode is part of the model.
+        shared = not self.start.yaw_in_model and not any(config.place_range)
         self.models = [model if shared else copy.copy(model) for _ in range(num_envs)]
         self._data = [mujoco.MjData(model) for _ in range(num_threads)]
         self._rollout = rollout.Rollout(nthread=num_threads if num_threads > 1 else 0)
@@ -65,6 +66,7 @@ class BatchSimulation:
         self.state = np.zeros((num_envs, size))
         self.sensors = np.zeros((num_envs, self.start.layout.size))
         self.yaw = np.zeros((num_envs, 2))
+        self.place = np.zeros((num_envs, 2))
         self._states = np.zeros((num_envs, steps, size))
         self._trace = np.zeros((num_envs, steps, self.start.layout.size))
         self._controls = np.zeros((num_envs, steps, model.nu))
@@ -72,16 +74,16 @@ class BatchSimulation:
     def reset(self, slot: int, episode: Episode) -> np.ndarray:
         """Start ``episode`` in a slot; return its sensors as a trace of one substep, [1, 1, n]."""
         model, data = self.models[slot], self._data[0]
-        self.set_yaw(slot, episode.yaw)
+        self.set_blocks(slot, episode.yaw, episode.place)
         self.start.hold(model, data, self.start.qpos(model, episode))
         mujoco.mj_getState(model, data, self.state[slot], STATE)
         self.sensors[slot] = data.sensordata
         return data.sensordata.copy()[None, None]
 
-    def set_yaw(self, slot: int, yaw: np.ndarray) -> None:
-        """Set the episode's yaw [2] of a slot."""
-        self.yaw[slot] = yaw
-        self.start.set_yaw(self.models[slot], yaw)
+    def set_blocks(self, slot: int, yaw: np.ndarray, place: np.ndarray) -> None:
+        """Set the yaw [2] and the place [2] of a slot's episode."""
+        self.yaw[slot], self.place[slot] = yaw, place
+        self.start.set_blocks(self.models[slot], yaw, place)
 
     def step(
         self, controls: np.ndarray, active: np.ndarray | None = None

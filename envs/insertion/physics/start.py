@@ -18,6 +18,7 @@ __all__ = ["Episode", "StartState", "draw_episode"]
 SETTLE_TIME = 0.5
 ARM_JOINTS = tuple(f"sawyer/right_j{index}" for index in range(NUM_JOINTS))
 BLOCK_BODIES = ("left_block/", "right_block/")
+GAP_SITE = "gap"
 Random = np.random.Generator | np.random.RandomState
 
 
@@ -28,17 +29,23 @@ class Episode(NamedTuple):
     """[2] of the left and right standing block, rad."""
     offset: np.ndarray
     """[3] of the end effector from its nominal start, m."""
+    place: np.ndarray = np.zeros(2)
+    """[2] of blocks and gap from where the robot believes them, m."""
 
 
 def draw_episode(config: InsertionConfig, random: Random) -> Episode:
-    """Draw the next episode; takes five numbers from ``random``, whatever the settings."""
+    """Draw the next episode; takes five numbers from ``random``, and two more for a place."""
     unit = np.asarray(random.uniform(0.0, 1.0, 5))
     if config.yaw_choices:
         index = (unit[:2] * len(config.yaw_choices)).astype(int)
         yaw = np.radians(np.asarray(config.yaw_choices))[index]
     else:
         yaw = config.yaw_range * (2 * unit[:2] - 1)
-    return Episode(yaw=yaw, offset=np.asarray(config.start_range) * (2 * unit[2:] - 1))
+    offset = np.asarray(config.start_range) * (2 * unit[2:] - 1)
+    if not any(config.place_range):
+        return Episode(yaw, offset)
+    place = np.asarray(config.place_range) * (2 * np.asarray(random.uniform(0.0, 1.0, 2)) - 1)
+    return Episode(yaw, offset, place)
 
 
 class StartState:
@@ -48,7 +55,8 @@ class StartState:
         home: Joint positions with the tool at its nominal start, [7] [rad].
         tare: Wrist reading of the unloaded tool at rest, [6] [N] and [N m].
         yaw_in_model: Whether the standing blocks' yaw is part of the model (``body_quat``), which
-            keeps the paper's three degrees of freedom, rather than of the state.
+            keeps the paper's three degrees of freedom, rather than of the state, and so is their
+            place.
     """
 
     def __init__(self, model: mujoco.MjModel, config: InsertionConfig) -> None:
@@ -57,6 +65,7 @@ class StartState:
         self.yaw_in_model = config.blocks != "free"
         self._arm = np.array([model.joint(name).qposadr[0] for name in ARM_JOINTS])
         self._body_ids = [model.body(name).id for name in BLOCK_BODIES]
+        self._gap = model.site(GAP_SITE).id
         self._qpos = model.qpos0.copy()
         self._qpos[self._arm] = TOOL_DOWN
         data = mujoco.MjData(model)
@@ -121,15 +130,22 @@ class StartState:
         qpos[self._arm] += self._inverse @ episode.offset
         if not self.yaw_in_model:
             for name, yaw in zip(BLOCK_BODIES, episode.yaw, strict=True):
-                start = self._first_address(model, name) + 3
-                qpos[start : start + 4] = yaw_quaternion(yaw)
+                start = self._first_address(model, name)
+                qpos[start : start + 2] += episode.place
+                qpos[start + 3 : start + 7] = yaw_quaternion(yaw)
         return qpos
 
-    def set_yaw(self, model: mujoco.MjModel, yaw: np.ndarray) -> None:
-        """Write the standing blocks' yaw [2] into the model where it belongs there."""
+    def set_blocks(self, model: mujoco.MjModel, yaw: np.ndarray, place: np.ndarray) -> None:
+        """Write yaw [2] and place [2] of the standing blocks into the model where they belong."""
         if self.yaw_in_model:
             for body, angle in zip(self._body_ids, yaw, strict=True):
                 model.body_quat[body] = yaw_quaternion(angle)
+        if not any(self.config.place_range):
+            return
+        model.site_pos[self._gap, :2] = self.config.goal_xy + place
+        if self.yaw_in_model:
+            centers = np.asarray(self.config.block_goals)[:, :2] + place  # (2, 2)
+            model.body_pos[self._body_ids, :2] = centers
 
 
 def forward(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> None:

@@ -34,7 +34,7 @@ class ForceLimit(SafetyLimit):
       command says: one that integrates may lie any distance ahead of a tool that is held back;
     * that ``stiffness`` is the largest force, impact included, for each metre commanded, of the
       stiffest robot that there may be. It is measured, with commands that try everything
-      (``benchmarks/limits.py``), and several times the spring constant of the controller;
+      (``python -m benchmarks.limits``), and several times the spring constant of the controller;
     * that the force comes from the robot's own motion, not from somebody who pushes it.
 
     With ``force_key`` the measured force is used too, as a second line where these do not hold:

@@ -16,11 +16,15 @@ class Scripted(np.random.RandomState):
         self._unit = unit
 
     def uniform(self, low: float = 0.0, high: float = 1.0, size: int | None = None) -> np.ndarray:
-        assert (low, high, size) == (0.0, 1.0, 5)
-        return self._unit
+        assert (low, high) == (0.0, 1.0) and size in (2, 5)
+        return self._unit[:size]
 
 
-@pytest.mark.parametrize("yaw", [{}, {"yaw_range": 0.3}], ids=["preset", "uniform"])
+@pytest.mark.parametrize(
+    "yaw",
+    [{}, {"yaw_range": 0.3}, {"place_range": (0.03, 0.03)}],
+    ids=["preset", "uniform", "elsewhere"],
+)
 @pytest.mark.parametrize("seed", [0, 1])
 def test_composer_and_batch_run_the_same_trajectory(variant: str, yaw: dict, seed: int) -> None:
     random = Scripted(np.random.default_rng(seed).uniform(size=5))

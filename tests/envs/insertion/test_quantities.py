@@ -25,6 +25,7 @@ def signals(
         "block_position": np.array(make_config("sim").block_goals),
         "block_z_axis": np.array([z_axis, z_axis]),
         "block_y_axis": np.array([y_axis, y_axis]),
+        "goal_position": np.array(make_config("sim").goal),
         "wrist_force": np.array([0.0, 0.0, 5.0]),
         "wrist_torque": np.zeros(3),
         "contact_force": np.array([3.0]),
@@ -91,6 +92,17 @@ def test_reward_is_the_papers() -> None:
     assert out["reward"].item() == pytest.approx(sum(expected.values()))
 
 
+def test_the_gap_and_not_where_the_robot_believes_it_is_the_goal() -> None:
+    config = make_config("real", {"place_range": (0.03, 0.0)})
+    trace = signals(tool=(0.63, 0.0, 0.05))
+    for name in ("goal_position", "block_position"):
+        trace[name][..., 0] += 0.03
+    out = q.evaluate(trace, TARE, config)
+    assert out["success"].item()
+    assert out["reward_terms/distance"].item() == out["reward_terms/displacement"].item() == 0
+    np.testing.assert_allclose(out["goal"][0], (0.6, 0.0, 0.05))
+
+
 def test_sim_has_no_terms_of_weight_zero() -> None:
     terms = [n for n in q.output_names(make_config("sim")) if n.startswith("reward_terms")]
     assert terms == ["reward_terms/distance", "reward_terms/tilt"]
@@ -131,7 +143,7 @@ def test_success(changes: dict, expected: bool) -> None:
     assert out["success"].tolist() == [[expected]]
 
 
-@pytest.mark.parametrize("name", ["insertion-sim", "insertion-real"])
+@pytest.mark.parametrize("name", ["insertion-sim", "insertion-real", "insertion-pixels"])
 def test_the_yaml_declares_every_metric(name: str) -> None:
     path = Path(__file__).parents[3] / "configs" / "env" / f"{name}.yaml"
     declared = yaml.safe_load(path.read_text())["metrics"]

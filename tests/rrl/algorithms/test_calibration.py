@@ -11,9 +11,9 @@ from rrl.algorithms.calibration import (
     VALUE_SPREAD,
     discount,
     reward_factor,
-    standardization,
     warmup_length,
 )
+from rrl.encoders.concatenate import standardization
 from rrl.inputs import Input
 
 

@@ -34,19 +34,22 @@ WORKERS = 2
 TIMED = {
     "latency",
     "tracker",
+    "outages",
     "chain",
     "action_history",
     "residual_history",
+    "operated",
     "episode_value",
 }  # cases that need an order in time
 LIMITS = {"workspace_limit", "step_limit", "force_limit", "finite_action", "safe_residual"}
 RESIDUALS = {
     *("residual", "residual_with_memory", "residual_with_plan", "residual_on_policy"),
-    *("residual_history", "chain"),
+    *("residual_history", "operated", "chain"),
 }
 ON_ACTIONS = {"control_noise"} | RESIDUALS | LIMITS
 OF_STEPS = {
     "executed_action",
+    "intervention",
     "safety",
 }  # records of a step, which data without an environment has none of
 

@@ -211,7 +211,8 @@ def before_a_later_bias(seed: int | None) -> Transform:
 
 
 DRAWS_AT_RESET = {"observation_noise", "observation_noise_beside", "chain"}
-UNDRAWN = {name: factory for name, factory in CASES.items() if name not in DRAWS_AT_RESET}
+REFUSED = {"operated"}
+UNDRAWN = {n: factory for n, factory in CASES.items() if n not in DRAWS_AT_RESET | REFUSED}
 
 
 @pytest.mark.parametrize("factory", [*UNDRAWN.values(), before_a_later_bias])

@@ -33,6 +33,11 @@ BROKEN = {
     "+env.base.clearence=0.1": [BASE, "'clearence'", "clearance"],
     "+env.inputs.goal.mean=0.1": ["env.inputs.goal", "expected loc and scale", "mean"],
     "+env.symmetry={}": ["env.symmetry: unknown key"],
+    "+algorithm.agent.encoder.depth=2": [AGENT, "does not take 'depth'", "channels"],
+    "algorithm.agent.encoder.strides=[4,2]": [AGENT, "expected lists of the same length"],
+    "algorithm.agent.encoder.shift=-1": [AGENT, "shift: expected a whole number"],
+    "+env.inputs.goal.channels=middle": ["env.inputs.goal.channels", "first, last, none"],
+    "+env.critic_inputs.wrench={}": ["env.critic_inputs", "does not have 'wrench'", "force_z"],
     # unknown choices
     "env=insertion-mars": ["insertion-mars"],
     "algorithm=ppo": ["ppo"],
@@ -44,6 +49,15 @@ BROKEN = {
     "render.format=avi": ["render.format", "mp4", "avi"],
     "render.scenario=upside_down": ["render.scenario", "misaligned", "upside_down"],
     "render.episode=best": ["render.episode", "rescue", "best"],
+    # an operator
+    "operator=monkey": ["operator", "monkey"],
+    "trainer.intervention_share=0.2": ["expected 0 without an operator", "0.2"],
+    "trainer.intervention_share=1.5": ["trainer.intervention_share", "1.5"],
+    "operator.intervention={_target_:rrl.Intervention,step_limit:0.1}": [
+        "operator.intervention",
+        "needs 'operator'",
+    ],
+    "+operator.speed=1": ["operator.speed: unknown key", "1"],
     # wrong types
     "env.action_history=long": ["env.action_history", "integer", "long"],
     "trainer.num_seeds=two": ["trainer.num_seeds", "integer", "two"],

@@ -13,7 +13,7 @@ from torchrl.envs import TransformedEnv
 
 from rrl.controllers import ProportionalController
 from rrl.envs import InsertionEnv
-from rrl.trainers.environment import EnvironmentFactory, Input, Metric
+from rrl.trainers.environment import EnvironmentFactory, Input
 from rrl.trainers.evaluation.episodes import Comparison
 from rrl.trainers.evaluation.evaluator import Evaluator
 from rrl.trainers.evaluation.rollout import (
@@ -22,6 +22,7 @@ from rrl.trainers.evaluation.rollout import (
     run_episodes,
     zero_residual,
 )
+from rrl.trainers.metric import Metric
 from rrl.trainers.seeds import Stream
 from rrl.trainers.settings import EvaluationSettings
 from rrl.transforms import ControlNoise
@@ -75,12 +76,13 @@ def reporting(factory, batching="native", **arguments):
 def test_metrics_are_reduced_as_declared(factory, batching):
     values = {}
     for how in ("min", "max", "sum", "last", "mean"):
-        declared = {"clock": Metric(unit="steps", reduce=how)}
+        declared = {"clock": Metric(unit="steps", reduce=how, limit=15.0)}
         made = replace(reporting(factory, batching), metrics=declared)
         evaluator = Evaluator({"one": made}, EvaluationSettings())
         compared = evaluator.compare(ZERO, "one", Stream.FINAL, 1)
         evaluator.close()
         values[how] = compared.residual.metrics["clock"].item()
+        assert compared.summary()["metrics/clock_above_limit"] == float(values[how] > 15)
         assert 0 <= compared.residual.metrics["right"].item() <= 1  # undeclared: the mean
     assert values == {"min": 1, "max": 20, "sum": 210, "last": 20, "mean": 10.5}
 

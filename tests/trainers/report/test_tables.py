@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from rrl.trainers.evaluation.episodes import Comparison, Episodes, write_results
+from rrl.trainers.metric import Metric
+from rrl.trainers.report.notes import notes
 from rrl.trainers.report.tables import (
     EPISODE_COLUMNS,
     episode_rows,
     markdown_tables,
-    notes,
     one_run,
     quantity_rows,
     success_rows,
@@ -61,12 +62,31 @@ def test_bounds_are_rounded_outwards(interval, text):
 
 def test_every_reported_quantity_has_mean_and_tail_with_its_unit():
     results = one_run({"one": Comparison(episodes(9, force=5.0), episodes(4))})
-    header, rows = quantity_rows(results, {"contact_force": "N"})
+    header, rows = quantity_rows(results, {"contact_force": {"unit": "N"}})
     cells = dict(zip(header, rows[0], strict=True))
     assert cells["contact force, mean [N]"] == "9.50 → 14.50"
     assert cells["contact force, 99th percentile [N]"] == "18.81 → 23.81"
     assert cells["return"] == "-1.00 → -1.00"
-    assert "contact force, mean [N]" in markdown_tables(results, {"contact_force": "N"})
+    assert "contact force, mean [N]" in markdown_tables(results, {"contact_force": {"unit": "N"}})
+
+
+def test_episodes_above_budget_and_limit_are_counted_and_the_budget_is_judged():
+    how = Metric(unit="N", reduce="max", budget=12.0, limit=18.0)
+
+    def forced(force):
+        return replace(episodes(9, force=force), declared={"contact_force": how})
+
+    results = one_run(
+        {name: Comparison(forced(f), forced(0.0)) for name, f in (("a", 5), ("b", 2))}
+    )
+    declared = {"contact_force": how.model_dump()}
+    header, rows = quantity_rows(results, declared)
+    cells = dict(zip(header, rows[0], strict=True))
+    assert cells["contact force above the budget 12 N [%]"] == "35.0 → 60.0"
+    assert cells["contact force above the limit 18 N [%]"] == "5.0 → 30.0"
+    said = "Budget for the mean of contact force, 12 N: a 14.5, not kept; b 11.5, kept."
+    assert said in notes(results, declared)
+    assert said in markdown_tables(results, declared)
 
 
 def test_what_is_not_paired_is_not_called_rescued_or_broken():
@@ -97,13 +117,13 @@ def test_the_policies_handed_over_have_a_row_of_their_own_where_they_are_others(
     assert rows[0][2].startswith("75.0 [")
     assert rows[1][2].startswith("60.0 [")  # 15, 19 and 2 of 20
     assert (rows[1][4], rows[0][4]) == ("10", "13")
-    assert notes(one_run({"drift": earlier}))[-1].startswith(
+    assert notes(one_run({"drift": earlier}), {})[-1].startswith(
         "Handed over: the policy after 300 environment steps"
     )
-    assert notes(one_run({"drift": none}))[-1].startswith("Handed over: the controller alone.")
+    assert notes(one_run({"drift": none}), {})[-1].startswith("Handed over: the controller alone.")
     all_three = {"drift": [c.record() for c in (same, earlier, none)]}
-    assert "a learned policy by 2 of 3 runs" in notes(all_three)[-1]
-    assert notes(all_three)[-1] in markdown_tables(all_three, {})
+    assert "a learned policy by 2 of 3 runs" in notes(all_three, {})[-1]
+    assert notes(all_three, {})[-1] in markdown_tables(all_three, {})
 
 
 def test_every_episode_has_its_outcome():

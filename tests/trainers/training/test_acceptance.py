@@ -10,15 +10,17 @@ from typing import ClassVar
 import numpy as np
 import pytest
 import torch
-from runs import assert_same
 
 from rrl.algorithms import TD3, mlp
 from rrl.algorithms.networks import last_layer
 from rrl.trainers import AcceptanceSettings, EvaluationSettings
 from rrl.trainers.evaluation.episodes import write_results
 from rrl.trainers.loggers import read_metrics
-from rrl.trainers.report.tables import notes, one_run, success_rows
+from rrl.trainers.metric import Metric
+from rrl.trainers.report.notes import notes
+from rrl.trainers.report.tables import one_run, success_rows
 from rrl.trainers.seeds import Stream, first_seed
+from runs import assert_same
 from toy_envs import DRIFT, STEP_SIZE, PointMass
 
 DEFAULT = AcceptanceSettings()
@@ -127,6 +129,21 @@ def test_a_policy_that_promises_more_and_is_worse_is_not_taken(make, factory):
         assert (action(made.policy, made) == 0).all()
 
 
+def test_of_two_that_solve_as_much_the_one_within_its_budgets_is_better(make):
+    how = {"push": Metric(reduce="max", budget=1.0)}
+    with make() as trainer:
+        say(trainer, AGAINST)
+        found = trainer.evaluator.compare(trainer.agent.policy, "drift", Stream.FOLLOWING, 20)
+        taken = []
+        for push, lost in ((2.0, 0.0), (0.5, 1.0), (0.5, 2.0), (2.0, 0.0)):
+            pushes, returns = np.full(20, push), found.residual.returns - lost
+            changes = {"metrics": {"push": pushes}, "declared": how, "returns": returns}
+            residual = replace(found.residual, **changes)
+            _, values = trainer.acceptance.consider(replace(found, residual=residual), 100)
+            taken.append(values["acceptance/accepted"])
+        assert taken == [1, 1, 0, 0]
+
+
 class Logged(PointMass):
     """Writes down every seed it is given."""
 
@@ -204,7 +221,7 @@ def test_a_run_reports_both_the_latest_policy_and_what_it_hands_over(make, tmp_p
     assert [row[0] for row in rows] == ["drift", "drift, handed over"]
     assert rows[0][1] == rows[1][1]
     assert float(rows[1][2].split()[0]) == pytest.approx(100 * summary["accepted_success"], abs=0.1)
-    assert "Handed over: the policy after 100 environment steps" in notes(one_run(results))[-1]
+    assert "Handed over: the policy after 100 environment steps" in notes(one_run(results), {})[-1]
     write_results(results, tmp_path / "results.json")
     content = json.loads((tmp_path / "results.json").read_text())["drift"]
     assert sum(content["episodes"]["accepted_success"]) == summary["accepted_rescues"]
@@ -220,7 +237,7 @@ def test_a_run_in_which_no_policy_passes_says_so(make):
         assert (action(made.policy, made) == 0).all()
     compared = results["drift"]
     assert compared.accepted is compared.controller
-    assert "Handed over: the controller alone." in notes(one_run(results))[-1]
+    assert "Handed over: the controller alone." in notes(one_run(results), {})[-1]
     record = read_metrics(made.run_dir)
     assert [step for step, _ in record["acceptance/episodes"]] == [120]  # at the end alone
 
@@ -235,7 +252,7 @@ def test_without_a_test_the_latest_policy_is_handed_over(make, caplog):
     assert not [name for name in read_metrics(trainer.run_dir) if "accept" in name]
     assert "accept" not in caplog.text
     assert [row[0] for row in success_rows(one_run(results))] == ["drift"]
-    assert len(notes(one_run(results))) == 1
+    assert len(notes(one_run(results), {})) == 1
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from runs import assert_same_run, run
 from tensordict import NonTensorData, TensorDict
 from torch import nn
 from torchrl.data import Binary, Bounded, Composite, NonTensor, Unbounded
@@ -15,6 +14,7 @@ from torchrl.envs import EnvBase
 from rrl.controllers import ProportionalController, ZeroController
 from rrl.trainers import EnvironmentFactory, Input
 from rrl.trainers.settings import AcceptanceSettings, CheckpointSettings, EvaluationSettings
+from runs import assert_same_run, run
 
 EPISODE = 20
 

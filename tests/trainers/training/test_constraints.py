@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import torch
 from pydantic import ValidationError
-from runs import assert_same_run, run, run_until
 from torchrl.data import Composite, Unbounded
 
 from rrl.algorithms import DDPG, SAC, TD3, mlp, no_exploration
 from rrl.keys import SO_FAR
 from rrl.trainers import EnvironmentFactory, Metric
 from rrl.trainers.settings import CheckpointSettings, ConstraintSettings, EvaluationSettings
+from runs import assert_same_run, run, run_until
 from toy_envs import DRIFT, EPISODE_STEPS, STEP_SIZE, RememberingPointMass, ResetsItself
 
 SMALL = {"network": partial(mlp, hidden=[32, 32]), "gamma": 0.9}

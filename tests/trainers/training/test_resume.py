@@ -5,11 +5,11 @@ from functools import partial
 
 import pytest
 import torch
-from runs import assert_same_run, run, run_until
 from torchrl.modules import OrnsteinUhlenbeckProcessModule
 
 from rrl.algorithms import DDPG, SAC, TD3, mlp, no_exploration
 from rrl.trainers.settings import CheckpointSettings, EvaluationSettings
+from runs import assert_same_run, run, run_until
 from toy_envs import RememberingPointMass, RemembersAndResetsItself
 
 SMALL = {"network": partial(mlp, hidden=[16]), "gamma": 0.9}

@@ -5,8 +5,8 @@ import torch
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
-from rrl.algorithms import Concatenate
 from rrl.algorithms.symmetric_actor import SymmetricActor
+from rrl.encoders import Concatenate
 from rrl.slot_random import seed_env
 from rrl.trainers.configuration import build as assembly
 from rrl.trainers.environment import EnvironmentFactory, Input

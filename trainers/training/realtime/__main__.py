@@ -20,8 +20,8 @@ from ...environment import EnvironmentFactory, ResumableEnv
 from ...settings import TrainerSettings
 from ...storage.files import lock
 from ..background_collection import portable
-from ..collection import prepare
 from ..collection_metrics import Authority
+from ..interface import prepare
 from ..torch_setup import configure_torch
 from .acting import Acting
 from .hand_over import HandOver

@@ -22,11 +22,12 @@ from rrl.pace import prioritized
 from ...environment import EnvironmentFactory
 from ...seeds import Stream, first_seed
 from ...settings import TrainerSettings
-from ...storage.replay_store import stored_keys
+from ...storage.replay_store import as_stored
 from ...storage.transition_log import FOLDER as TRANSITIONS
 from ...storage.transition_log import TransitionLog
-from ..collection import Collection, Exploration, Metrics
+from ..collection import Collection, Metrics
 from ..collection_metrics import EpisodeReturns, collection_metrics
+from ..interface import Exploration
 from ..policy_vector import flatten
 from .hand_over import FOLDER, HandOver, Weights
 from .records import TIMING, cut_episodes, timing_metrics
@@ -107,7 +108,7 @@ class RealTime(Collection):
         rollout = data.unsqueeze(0)
         values = collection_metrics(rollout, self._authority) | self._returns.metrics(rollout)
         values |= timing_metrics(data, env_steps)
-        return rollout.select(*stored_keys(self.interface.kept)), values
+        return as_stored(rollout, self.interface.kept), values
 
     @property
     def can_continue(self) -> bool:

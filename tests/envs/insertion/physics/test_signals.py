@@ -19,6 +19,7 @@ SHAPES = {
     "block_position": (2, 3),
     "block_y_axis": (2, 3),
     "block_z_axis": (2, 3),
+    "goal_position": (3,),
 }
 
 

@@ -9,7 +9,6 @@ from multiprocessing import get_context
 
 import pytest
 import torch
-from runs import run
 
 from rrl.trainers.settings import (
     AcceptanceSettings,
@@ -19,6 +18,7 @@ from rrl.trainers.settings import (
 )
 from rrl.trainers.storage.transition_log import TransitionLog
 from rrl.trainers.training.realtime.hand_over import HandOver
+from runs import run
 from toy_envs import EPISODE_STEPS, PointMass
 
 PERIOD = 0.01

@@ -1,0 +1,148 @@
+"""What actor and critics read: features of observation entries, and who teaches their encoders."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import torch
+from tensordict import NestedKey, TensorDict, TensorDictBase
+from torch import Tensor
+
+from rrl.encoders.interface import EncoderFactory, Inputs
+from rrl.inputs import Input
+from rrl.keys import CRITIC_OBSERVATION, OBSERVATION
+
+__all__ = ["Reading", "Readings", "with_shapes"]
+
+
+def with_shapes(inputs: Mapping[NestedKey, Input | int] | None) -> dict[NestedKey, Input]:
+    """Return inputs; a number stands for a vector of that size."""
+    return {
+        key: Input(shape=(entry,)) if isinstance(entry, int) else entry
+        for key, entry in (inputs or {}).items()
+    }
+
+
+class Reading:
+    """Some entries, and the features that an encoder makes of them.
+
+    Args:
+        key: Where the features go.
+        inputs: The entries.
+        make_encoder: Makes the encoder.
+        taught_by_policy: Whether an encoder that learns does so with the policy, not the critics.
+    """
+
+    def __init__(
+        self,
+        key: str,
+        inputs: Inputs,
+        make_encoder: EncoderFactory,
+        taught_by_policy: bool = False,
+    ) -> None:
+        self.key, self.keys, self.taught_by_policy = key, list(inputs), taught_by_policy
+        self.encoder: Any = make_encoder(inputs)
+
+    @property
+    def learned(self) -> list[Tensor]:
+        """What the encoder learns; one that learns nothing is run once a batch."""
+        return [p for p in self.encoder.parameters() if p.requires_grad]
+
+    def calibrate(self, entries: TensorDictBase) -> dict[NestedKey, Any]:
+        """Let the encoder derive what it derives from the first entries ``[n]``."""
+        if not hasattr(self.encoder, "calibrate"):
+            return {}
+        return dict(self.encoder.calibrate(*(entries[key] for key in self.keys)))
+
+    def prepare(self, entries: TensorDictBase, out: TensorDictBase) -> None:
+        """Set what an update needs: the features, or the entries that they are learned from."""
+        if self.learned:
+            for key in self.keys:
+                out.set(key, entries.get(key))
+        else:
+            with torch.no_grad():
+                out.set(self.key, self._features(entries))
+
+    def augment(self, batch: TensorDictBase) -> None:
+        """Put what the encoder wants to learn from in the place of a training batch's entries."""
+        if self.learned and hasattr(self.encoder, "augment"):
+            values = self.encoder.augment(*(batch.get(key) for key in self.keys))
+            for key, value in zip(self.keys, values, strict=True):
+                batch.set(key, value)
+
+    def read(self, batch: TensorDictBase, learning: bool) -> None:
+        """Set the features of a training batch, unless :meth:`prepare` has."""
+        if self.learned:
+            with torch.set_grad_enabled(learning):
+                batch.set(self.key, self._features(batch))
+
+    def _features(self, entries: TensorDictBase) -> Tensor:
+        return self.encoder(*(entries.get(key) for key in self.keys))
+
+
+class Readings:
+    """What actor and critics read.
+
+    Critics that read what the actor reads share its encoder and teach it. Critics with entries of
+    their own have an encoder of their own, and the policy teaches the actor's: they would teach it
+    nothing that they can read elsewhere, such as in the poses that only a simulation knows.
+
+    Args:
+        inputs: Of the actor.
+        critic_inputs: Of the critics; none: the same.
+        make_encoder: Makes an encoder.
+
+    Attributes:
+        actor: The actor's.
+        critic: The critics'.
+        learn: Whether an encoder learns.
+    """
+
+    def __init__(self, inputs: Inputs, critic_inputs: Inputs, make_encoder: EncoderFactory) -> None:
+        shared = not critic_inputs
+        self.actor = Reading(OBSERVATION, inputs, make_encoder, taught_by_policy=not shared)
+        self.critic = self.actor
+        if not shared:
+            self.critic = Reading(CRITIC_OBSERVATION, critic_inputs, make_encoder)
+        self._all = [self.actor] if shared else [self.actor, self.critic]
+        self.learn = any(reading.learned for reading in self._all)
+
+    def __iter__(self) -> Iterator[Reading]:
+        return iter(self._all)
+
+    def prepare(self, batches: TensorDictBase) -> TensorDict:
+        """Return transitions with the features of fixed encoders in the place of entries."""
+        following = batches.get("next")
+        entries = [key for reading in self._all for key in reading.keys]
+        out, out_next = batches.exclude("next", *entries), following.exclude(*entries)
+        for reading in self._all:
+            reading.prepare(batches, out)
+            reading.prepare(following, out_next)
+        return out.set("next", out_next)
+
+    def for_critics(self, batch: TensorDictBase) -> TensorDictBase:
+        """Return a batch with the features that the critics' loss reads, where they are learned."""
+        if not self.learn:
+            return batch
+        out = batch.clone(False)
+        following = out["next"]
+        for reading in self._all:
+            reading.augment(out)
+            reading.augment(following)
+            reading.read(following, learning=False)
+            if not reading.taught_by_policy:
+                reading.read(out, learning=True)
+        return out
+
+    def for_policy(self, batch: TensorDictBase) -> TensorDictBase:
+        """Return the same batch with the features that the policy's loss reads."""
+        if not self.learn:
+            return batch
+        out = batch.clone(False)
+        for reading in self._all:
+            if reading.taught_by_policy:
+                reading.read(out, learning=True)
+            else:
+                out.set(reading.key, out[reading.key].detach())
+        return out

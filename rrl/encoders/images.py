@@ -1,0 +1,93 @@
+"""What encoders of images share: the images of a batch, and the numbers beside them."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any
+
+import torch
+from tensordict import NestedKey
+from torch import Tensor, nn
+
+from rrl.encoders.concatenate import Concatenate
+from rrl.encoders.interface import Inputs
+from rrl.inputs import Input
+
+__all__ = ["ImagesBesideNumbers", "as_channels_first"]
+
+
+class ImagesBesideNumbers(nn.Module):
+    """Features of each image, one after the other, and after them the normalized numbers.
+
+    A subclass says what the features of one camera's images are (:meth:`see`) and sets
+    :attr:`features`, their number for each camera.
+
+    Args:
+        inputs: Observation entries; at least one is an image.
+
+    Raises:
+        ValueError: If there is no image, or one has a center or a scale.
+    """
+
+    features: int
+
+    def __init__(self, inputs: Inputs) -> None:
+        super().__init__()
+        self.images = {key: entry for key, entry in inputs.items() if entry.is_image}
+        if not self.images:
+            raise ValueError(
+                "encoder: expected an image among the inputs (uint8 [..., H, W, C] or "
+                f"[..., C, H, W]), got {', '.join(map(str, inputs))}; set channels: first or last "
+                "of an input that is one"
+            )
+        for key, entry in self.images.items():
+            if not entry.is_derived:
+                raise ValueError(
+                    f"inputs.{key}: expected neither loc nor scale, because images are divided by "
+                    "255; set channels: none to have it read as numbers"
+                )
+        numbers = {key: entry for key, entry in inputs.items() if not entry.is_image}
+        self.numbers = Concatenate(numbers) if numbers else None
+        self._inputs = dict(inputs)
+
+    @abstractmethod
+    def see(self, camera: int, images: Tensor) -> Tensor:
+        """Return features ``[B, features]`` of a camera's images ``[B, C, H, W]`` in [0, 1]."""
+
+    @property
+    def out_features(self) -> int:
+        """Features of all entries."""
+        beside = 0 if self.numbers is None else self.numbers.out_features
+        return len(self.images) * self.features + beside
+
+    def calibrate(self, *values: Tensor) -> dict[NestedKey, Any]:
+        """Standardize the numbers; see :meth:`Concatenate.calibrate`."""
+        return {} if self.numbers is None else self.numbers.calibrate(*self._beside(values))
+
+    def forward(self, *values: Tensor) -> Tensor:
+        """Return features ``[*batch, n]`` of entries ``[*batch, *shape]``."""
+        seen = []
+        pictures = [
+            (entry, value)
+            for entry, value in zip(self._inputs.values(), values, strict=True)
+            if entry.is_image
+        ]
+        for camera, (entry, value) in enumerate(pictures):
+            batch = value.shape[: value.ndim - len(entry.shape)]
+            images = as_channels_first(value, entry)
+            images = images.float() / 255.0 if images.dtype == torch.uint8 else images.float()
+            seen.append(self.see(camera, images).reshape(*batch, self.features))
+        beside = [] if self.numbers is None else [self.numbers(*self._beside(values))]
+        return torch.cat([*seen, *beside], -1)
+
+    def _beside(self, values: tuple[Tensor, ...]) -> list[Tensor]:
+        entries = self._inputs.values()
+        return [v for entry, v in zip(entries, values, strict=True) if not entry.is_image]
+
+
+def as_channels_first(value: Tensor, entry: Input) -> Tensor:
+    """Return an entry's images ``[*batch, *shape]`` as ``[B, C, H, W]``; frames are channels."""
+    images = value.reshape(-1, *entry.shape)
+    if entry.channels == "last":
+        images = images.movedim(-1, -3)
+    return images.reshape(len(images), -1, *images.shape[-2:])

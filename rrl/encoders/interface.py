@@ -1,0 +1,22 @@
+"""What an encoder is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from tensordict import NestedKey
+from torch import nn
+
+from rrl.inputs import Input
+
+__all__ = ["EncoderFactory", "Inputs"]
+
+Inputs = Mapping[NestedKey, Input]
+
+EncoderFactory = Callable[[Inputs], nn.Module]
+"""From the policy's inputs to a module: values of all entries ``[*batch, *shape]``, in their order,
+to features ``[*batch, out_features]``; the module has the attribute ``out_features``.
+
+Two methods are optional. ``calibrate``, called once with the first values of every entry
+``[n, *shape]``, returns what it derived for each. ``augment``, called with the values of a training
+batch ``[B, *shape]``, returns what is learned from in their place."""

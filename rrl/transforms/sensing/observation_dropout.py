@@ -1,0 +1,89 @@
+"""Outages of a sensor, such as frames that a camera loses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+from torchrl.data import Composite
+
+from rrl.checks import check, check_keys, check_whole, require
+from rrl.slot_masks import merge
+from rrl.transforms.base import Mask, Memory, RandomTransform
+
+__all__ = ["ObservationDropout"]
+
+_LEFT = "left"
+
+
+class ObservationDropout(RandomTransform):
+    """Observations that are lost for some steps, in which the last one stays.
+
+    Outside an outage one begins in every control step with a probability, the first step of an
+    episode excepted. All ``in_keys`` come from one sensor: they are lost together.
+
+    env -> policy: reads ``in_keys``, writes ``out_keys``.
+
+    Args:
+        in_keys: Observations ``[*batch, ...]`` of any dtype, such as images; may be nested.
+        probability: That an outage begins in a step, in [0, 1).
+        steps: Control steps that an outage lasts, at least 1.
+        seed: Seed of slot 0, slot i uses ``seed + i``. None: from torch's global generator at every
+            reset of all slots. Workers of a ``ParallelEnv`` need None, or they all draw the same.
+        out_keys: Where the observations go; default: ``in_keys``.
+
+    Raises:
+        ValueError: If a number is out of its range, or keys are none or differ in number.
+        KeyError: If an observation is missing.
+        RuntimeError: If it is called outside an environment, where there is no order in time.
+    """
+
+    def __init__(
+        self,
+        in_keys: Sequence[NestedKey],
+        probability: float,
+        steps: int = 1,
+        seed: int | None = None,
+        out_keys: Sequence[NestedKey] | None = None,
+    ) -> None:
+        super().__init__(
+            seed=seed,
+            stream=f"ObservationDropout/{in_keys}",
+            in_keys=in_keys,
+            out_keys=in_keys if out_keys is None else out_keys,
+        )
+        check_keys(self, self.in_keys, self.out_keys)
+        check("probability", probability, "a probability in [0, 1)", 0.0 <= probability < 1.0)
+        self.probability = float(probability)
+        self.steps = check_whole("steps", steps, 1)
+
+    def silence(self) -> None:
+        """Lose nothing."""
+        self.probability = 0.0
+
+    def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
+        # Steps of an outage that are left, int64 (*batch)
+        left = torch.zeros(td.batch_size, dtype=torch.int64, device=td.device)
+        return self._read(td) | {_LEFT: left}
+
+    def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
+        batch = next_td.batch_size
+        draw = self.slots(batch).uniform((), mask)  # in every step, so that outages do not matter
+        begins = (draw < self.probability).reshape(batch).to(self.recall(_LEFT).device)
+        left = torch.where(self.recall(_LEFT) > 0, self.memory[_LEFT], begins * self.steps)
+        lost = left > 0
+        held = {name: self.memory[name] for name in self._read(next_td)}
+        return merge(lost, held, self._read(next_td)) | {_LEFT: (left - 1).clamp_min(0)}
+
+    def _read(self, td: TensorDictBase) -> Memory:
+        return {str(number): require(self, td, key) for number, key in enumerate(self.in_keys)}
+
+    def _outputs(self) -> list[torch.Tensor]:
+        return [self.memory[str(number)] for number in range(len(self.in_keys))]
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Give what is delivered the specs of the originals."""
+        for in_key, out_key in zip(self.in_keys, self.out_keys, strict=True):
+            observation_spec[out_key] = require(self, observation_spec, in_key).clone()
+        return observation_spec

@@ -1,0 +1,109 @@
+"""What is kept of runs gives the same figures, tables and numbers on a machine that has nothing else."""
+
+import csv
+import re
+import shutil
+
+import pytest
+
+from experiment_project import EXPERIMENT, write
+from rrl.trainers.experiments.numbers import COLUMNS
+
+ARMS = {"residual RL": ["arm=residual"], "RL alone": ["arm=rl"]}
+CURVES = {"title": "A point that drifts", "paper": "none", "figure": "curves", "arms": ARMS}
+SOURCES = {"first": ["arm=rl", "env.base.drift=0.03"]}
+CHAIN = {**CURVES, "sources": SOURCES, "arms": {"from it": ["arm=rl", "init_from.run=run:first"]}}
+
+
+@pytest.fixture
+def experiment(project):
+    def make(content, name="some"):
+        write(project / f"configs/experiment/{name}.yaml", content)
+
+    return make
+
+
+def numbers(path):
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+def tables(report):
+    """The tables of a page but those of its configurations, whose commands name the store."""
+    page = report.read_text()
+    return re.findall(r"<table.*?</table>", page, re.DOTALL)
+
+
+def test_figure_tables_and_numbers_come_from_what_is_kept(experiment, run, project):
+    experiment({**CURVES, "overrides": ["trainer.acceptance.enabled=true"]})
+    first, _ = run("some", data="kept")
+    check_numbers(numbers(first.parent / "figures/some.csv"))
+    shutil.move(project / "out", project / "gone")
+    second, said = run("some", data="kept")
+    assert "4 runs are taken from" in said
+    assert "4 runs, 4 of them finished; 0 environment steps to go" in said
+    first = project / "gone" / first.name
+    assert tables(first) == tables(second)
+    for name in ("figures/some.png", "figures/some.csv"):
+        assert (first.parent / name).read_bytes() == (second.parent / name).read_bytes()
+    kept = {p: p.read_bytes() for p in (project / "kept").rglob("*") if p.is_file()}
+    run("some", data="kept", out="elsewhere")  # keeping what was taken changes nothing
+    assert {p: p.read_bytes() for p in (project / "kept").rglob("*") if p.is_file()} == kept
+    assert max(map(len, kept.values())) < 15_000
+    assert not list((project / "kept").rglob("checkpoint*"))
+
+    experiment({**CURVES, "overrides": ["trainer.batch_size=8"]}, "other")
+    _, said = run("other", data="kept", workers=0)
+    assert "0 runs are taken from" in said  # of another configuration
+    assert "4 runs, 0 of them finished; none is run now" in said
+
+
+def check_numbers(rows):
+    """There is a row for every run and evaluation."""
+    assert list(rows[0]) == list(COLUMNS)
+    found = [(r["arm"], r["seed"], r["env_steps"], r["evaluation"]) for r in rows]
+    steps = [("0", "training"), ("100", "training"), ("200", "training"), ("200", "final")]
+    assert found == [(arm, seed, *step) for arm in ARMS for seed in "01" for step in steps]
+    assert all(0 <= float(row["latest_success"]) <= 1 for row in rows)
+    assert all(row["handed_over_return"] for row in rows if row["arm"] == "residual RL")
+    assert {row["episodes"] for row in rows} == {"4"}
+    final = [row for row in rows if row["evaluation"] == "final"]
+    assert all(float(row["wall_time_s"]) > 0 and "torch=" in row["versions"] for row in final)
+    rescued = [float(row["rescues"]) - float(row["regressions"]) for row in final]
+    gains = [float(r["latest_success"]) - float(r["controller_success"]) for r in final]
+    assert rescued == pytest.approx([4 * gain for gain in gains])
+
+
+def test_how_widely_a_run_moved_is_kept_without_its_transitions(experiment, run):
+    experiment(
+        {**CURVES, "figure": "spread", "seeds": 1, "overrides": ["+env.base.dim=3"]},
+    )
+    first, _ = run("some", data="kept")
+    second, _ = run("some", data="kept", out="elsewhere")
+    rows = [numbers(report.parent / "figures/some.csv") for report in (first, second)]
+    assert rows[0] == rows[1]
+    assert float(rows[1][-1]["position_variance_z_cm2"]) > 0
+
+
+def test_a_run_that_others_have_yet_to_start_from_is_trained(experiment, run, project):
+    experiment(CHAIN)
+    run("some", data="kept")
+    shutil.rmtree(next((project / "kept").glob("some-from-it-*/seed-1")))
+    _, said = run("some", data="kept", out="elsewhere")
+    assert "2 runs are taken from" in said  # seed 0 of both
+    trained = {p.parent.parent for p in (project / "elsewhere/runs").glob("*/*/checkpoints")}
+    assert {path.name.rpartition("-")[0] for path in trained} == {"some-from-it", "some-first"}
+    _, said = run("some", data="kept", out="a third")
+    assert "4 runs are taken from" in said
+
+
+def test_runs_are_kept_as_they_end_and_shown_without_running(experiment, run, project, monkeypatch):
+    experiment({**EXPERIMENT, "seeds": 1})
+    monkeypatch.setenv("BROKEN_DRIFT", "0.06")
+    with pytest.raises(RuntimeError, match="1 runs are missing"):
+        run("some", data="kept")
+    report, said = run("some", data="kept", out="elsewhere", workers=0)
+    assert "1 runs are taken from" in said
+    assert "2 runs, 1 of them finished; none is run now" in said
+    assert len(numbers(report.parent / "figures/some.csv")) == 4
+    assert not list((project / "elsewhere").rglob("checkpoints"))

@@ -1,0 +1,112 @@
+"""What a repository keeps of runs: enough for figures, tables and claims, not the policies.
+
+A run's directory without all that is large, some 15 KB; `rrl report` reads it too::
+
+    DATA/
+        rotation-0.1-residual-rl-3f2a91c0/   as in the store; the key names the settings
+            seed-0/
+                config.yaml                  what was run
+                metrics.csv                  success and return of the evaluations, wall time
+                results.json                 the final evaluation
+                versions.json                packages and machine
+                positions.json               how widely it moved, where the policy reads positions
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import shutil
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from ..launch.job import Job
+from ..loggers import metrics
+from ..report.runs import Run
+from ..report.tables import ACCEPTED
+from ..storage.files import write_atomically
+from ..storage.run_files import CONFIG_FILE, METRICS, RESULTS, VERSIONS
+from .spread import POSITIONS, reads_positions, spatial_variance
+
+__all__ = ["keep", "take"]
+
+ENTRIES = tuple(p + e for e in ("success", "return") for p in ("", "controller_", ACCEPTED))
+
+
+def keep(job: Job, data: Path) -> None:
+    """Write what is kept of a finished run below ``data``."""
+    run, folder = Run(job.path, job.name), _folder(job, data)
+    folder.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(job.path / CONFIG_FILE, folder / CONFIG_FILE)
+    if reads_positions(run):
+        write_atomically(folder / POSITIONS, _json(spatial_variance(run).tolist()))
+    write_atomically(folder / METRICS, _record(run))
+    write_atomically(folder / VERSIONS, _json(run.versions))
+    results = {name: _result(record) for name, record in run.results.items()}
+    write_atomically(folder / RESULTS, _json(results))
+
+
+def take(jobs: Sequence[Job], data: Path) -> list[Job]:
+    """Put kept runs into the store, in place of those that have not begun there.
+
+    A run whose policy another one has yet to start from is not taken: it has to be trained.
+
+    Returns:
+        What was taken; these jobs are finished.
+    """
+    missing = [job for job in jobs if not job.finished]
+    kept = [
+        job for job in missing if not job.path.exists() and (_folder(job, data) / RESULTS).is_file()
+    ]
+    trained = _with_needs([job for job in missing if job not in kept], missing)
+    taken = [job for job in kept if job not in trained]
+    for job in taken:
+        job.prepare()
+        for path in sorted(_folder(job, data).iterdir()):
+            if path.name != CONFIG_FILE:
+                shutil.copyfile(path, job.path / path.name)
+    return taken
+
+
+def _with_needs(wanted: Sequence[Job], missing: Sequence[Job]) -> list[Job]:
+    """Return the jobs that are wanted, and the missing ones that they start from, and so on."""
+    found, left = [], list(wanted)
+    while left:
+        job = left.pop()
+        found.append(job)
+        left += [other for other in missing if other.path in job.needs and other not in found]
+    return found
+
+
+def _folder(job: Job, data: Path) -> Path:
+    """Return where a run is kept: whatever experiment and arm its point was named after there."""
+    key = job.path.parent.name.rpartition("-")[2]
+    present = sorted(data.glob(f"*-{key}"))
+    return (present[0] if present else data / job.path.parent.name) / job.path.name
+
+
+def _record(run: Run) -> str:
+    """Return the metrics that figures show, and the sums of the wall time."""
+    names = [metrics.name(metrics.EVALUATION, run.followed, entry) for entry in ENTRIES]
+    rows = [(*point, name) for name in names for point in run.record.get(name, ())]
+    for name in map(partial(metrics.name, metrics.TIME), metrics.WHOLE_SECTIONS):
+        if points := run.record.get(name):
+            rows.append((points[-1][0], sum(value for _, value in points), name))
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow([metrics.STEP_AXIS, "metric", "value"])
+    writer.writerows([step, name, repr(value)] for step, value, name in rows)
+    return file.getvalue()
+
+
+def _result(record: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return a scenario's final evaluation with the episodes' success and return alone."""
+    episodes = {key: record["episodes"][key] for key in ENTRIES if key in record["episodes"]}
+    return {"summary": record["summary"], "episodes": episodes}
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, indent=None) + "\n"

@@ -1,0 +1,86 @@
+"""The numbers behind an experiment's figure as one CSV file: a row for every run and evaluation."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from ..loggers import metrics
+from ..report.runs import Run
+from ..report.tables import ACCEPTED
+from .outcomes import Finding, Outcome
+from .spec import Experiment
+from .spread import spatial_variance
+
+__all__ = ["COLUMNS", "write_numbers"]
+
+POLICIES = {"controller": "controller_", "latest": "", "handed_over": ACCEPTED}
+"""Column's beginning to that of an entry."""
+ENTRIES = ("success", "return")
+CHANGES = ("rescues", "regressions", f"{ACCEPTED}rescues", f"{ACCEPTED}regressions")
+AXES = ("x", "y", "z")
+COLUMNS = (
+    *("arm", "setting", "key", "seed", "env_steps", "evaluation", "scenario", "episodes"),
+    *(f"{policy}_{entry}" for entry in ENTRIES for policy in POLICIES),
+    *CHANGES,
+    *(f"position_variance_{axis}_cm2" for axis in AXES),
+    *("wall_time_s", "versions"),
+)
+"""``evaluation`` is ``training`` or ``final``; what was not measured is empty. Success is a share,
+``rescues`` and ``regressions`` are numbers of episodes, of the latest policy and of what is handed
+over; wall time and versions are those of the whole run."""
+
+Row = Mapping[str, Any]
+
+
+def write_numbers(experiment: Experiment, finding: Finding, path: Path) -> Path:
+    """Write the file ``path`` with :data:`COLUMNS` and return it."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        for outcome in finding.outcomes:
+            point = outcome.point
+            setting = "" if point.value is None else point.value
+            for run in outcome.runs:
+                of_run = {"arm": point.arm, "setting": setting, "key": point.key, "seed": run.seed}
+                for row in (*_training(run), *_final(experiment, outcome, run)):
+                    writer.writerow({**of_run, **row})
+    return path
+
+
+def _training(run: Run) -> Iterator[Row]:
+    """The evaluations while the run learned."""
+    columns: dict[str, dict[int, float]] = {}
+    for column, entry in _entries():
+        name = metrics.name(metrics.EVALUATION, run.followed, entry)
+        columns[column] = dict(run.record.get(name, ()))
+    episodes = run.config["trainer"]["evaluation"]["episodes"]
+    common = {"evaluation": "training", "scenario": run.followed, "episodes": episodes}
+    for step in sorted({step for values in columns.values() for step in values}):
+        found = {column: values[step] for column, values in columns.items() if step in values}
+        yield {"env_steps": step, **common, **found}
+
+
+def _final(experiment: Experiment, outcome: Outcome, run: Run) -> Iterator[Row]:
+    """The final evaluation, scenario by scenario."""
+    more: dict[str, Any] = {"wall_time_s": round(run.seconds, 1)}
+    more["versions"] = " ".join(f"{name}={version}" for name, version in run.versions.items())
+    if experiment.figure == "spread":
+        values = spatial_variance(run).tolist()
+        more |= {f"position_variance_{a}_cm2": v for a, v in zip(AXES, values, strict=True)}
+    total = run.config["trainer"]["total_steps"]
+    common = {"env_steps": total, "evaluation": "final", "episodes": outcome.episodes}
+    for scenario in outcome.scenarios:
+        summary = run.summary(scenario)
+        found = {column: summary[entry] for column, entry in _entries() if entry in summary}
+        found |= {entry: summary[entry] for entry in CHANGES if entry in summary}
+        yield {**common, "scenario": scenario, **found, **more}
+
+
+def _entries() -> Iterator[tuple[str, str]]:
+    """Every column of a policy, and the entry that it holds."""
+    for entry in ENTRIES:
+        for policy, prefix in POLICIES.items():
+            yield f"{policy}_{entry}", prefix + entry

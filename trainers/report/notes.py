@@ -1,0 +1,83 @@
+"""What has to be said beside the tables of final evaluations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from rrl.keys import METRICS
+
+from .panels import Declared
+from .runs import Record
+
+__all__ = ["ACCEPTED", "NOTE", "Results", "is_frozen", "notes"]
+
+Results = Mapping[str, Sequence[Record]]
+"""Scenario to the records of the runs that are shown as one."""
+
+ACCEPTED = "accepted_"
+NOTE = (
+    "Brackets hold 95 % intervals. Controller, and residual of one run: Wilson's, over its "
+    "episodes. Residual of several runs: the success rate of runs like these, beta-binomial, or "
+    "Student's t of the return. Gain: paired on the same frozen episodes. Rescued and broken: "
+    "episodes that only the residual or only the controller solves, mean of the runs."
+)
+UNPAIRED = (
+    "The episodes of {} are not frozen: played twice they came out differently. Controller and "
+    "residual are independent samples there; the gain has the interval of these, and no episode is "
+    "called rescued or broken."
+)
+
+
+def notes(results: Results, declared: Declared) -> list[str]:
+    """Return how the tables are to be read, which budgets were kept, and what is handed over."""
+    found = [NOTE]
+    loose = [name for name, records in results.items() if not all(map(is_frozen, records))]
+    if loose:
+        found.append(UNPAIRED.format(", ".join(loose)))
+    found += [text for name, how in declared.items() for text in _budget(results, name, how)]
+    records = next(iter(results.values()), ())
+    steps = [r["summary"].get(f"{ACCEPTED}env_steps") for r in records]
+    tested = [int(step) for step in steps if step is not None]
+    if tested:
+        found.append(_what_is_handed_over(tested))
+    return found
+
+
+def _budget(results: Results, name: str, how: Mapping[str, Any]) -> Iterator[str]:
+    """Say in which scenarios the mean over episodes keeps to a quantity's budget, if it has one."""
+    if (budget := how.get("budget")) is None:
+        return
+    means = {
+        scenario: float(np.mean([record["summary"][f"{METRICS}/{name}"] for record in records]))
+        for scenario, records in results.items()
+    }
+    words = (f"{s} {m:.4g}, {'kept' if m <= budget else 'not kept'}" for s, m in means.items())
+    quantity = f"{name.replace('_', ' ')}, {budget:g} {how.get('unit', '')}".rstrip()
+    yield f"Budget for the mean of {quantity}: {'; '.join(words)}."
+
+
+def _what_is_handed_over(steps: Sequence[int]) -> str:
+    """Say what the runs hand over; 0 steps stand for the controller."""
+    learned = [step for step in steps if step]
+    if len(steps) > 1:
+        return (
+            f"Handed over: a learned policy by {len(learned)} of {len(steps)} runs, the controller "
+            "alone by the others, in which no policy passed the test against it."
+        )
+    if not learned:
+        return (
+            "Handed over: the controller alone. No policy passed the test that it is not worse "
+            "than the controller."
+        )
+    return (
+        f"Handed over: the policy after {learned[0]} environment steps, which passed the test that "
+        "it is not worse than the controller."
+    )
+
+
+def is_frozen(record: Record) -> bool:
+    """Return whether a scenario's episodes can be played again."""
+    return bool(record["summary"].get("frozen", True))
