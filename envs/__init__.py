@@ -19,6 +19,7 @@ from .insertion.pixels_env import InsertionPixelsEnv
 from .insertion.press_and_drag import PressAndDrag
 from .insertion.render import render_composer, render_states
 from .pictures import mujoco_state, render_mujoco
+from .robot import RobotEnv
 
 __all__ = [
     "NAMES",
@@ -29,6 +30,7 @@ __all__ = [
     "InsertionTask",
     "PressAndDrag",
     "RenderingUnavailable",
+    "RobotEnv",
     "gymnasium_env",
     "load",
     "make_config",

@@ -13,6 +13,8 @@ EPISODE = 20  # steps
 class Point(EnvBase):
     """Reads ``action`` [2]; writes ``position`` [2] m, ``goal`` [2] m, ``reward`` and ``success``.
 
+    It reports ``("metrics", "effort")`` [1], how hard it was pushed: the length of the last action.
+
     Args:
         absolute: the action is the position to go to, in metres within [-1, 1]^2; else it is the displacement, in
             units of ``STEP`` within [-1, 1]^2.
@@ -26,6 +28,7 @@ class Point(EnvBase):
             position=Unbounded([2]),
             goal=Bounded(-1.0, 1.0, [2]),
             success=Binary(1, [1], dtype=torch.bool),
+            metrics=Composite(effort=Unbounded([1])),
         )
         self.action_spec = Bounded(-1.0, 1.0, [2])
         self.reward_spec = Unbounded([1])
@@ -34,11 +37,12 @@ class Point(EnvBase):
 
     def _reset(self, tensordict=None, **kwargs):
         self.position, self.goal = (torch.rand(2, 2, generator=self.generator) - 0.5).unbind(0)
-        self.steps = 0
+        self.steps, self.effort = 0, torch.zeros(1)
         return TensorDict(self.observe(), [])
 
     def _step(self, tensordict):
         action = tensordict["action"]
+        self.effort = action.norm().reshape(1)
         delta = (action - self.position).clamp(-STEP, STEP) if self.absolute else action * STEP
         self.position, self.steps = self.position + delta + DRIFT, self.steps + 1
         truncated = torch.tensor([self.steps >= EPISODE])
@@ -51,7 +55,8 @@ class Point(EnvBase):
 
     def observe(self):
         """Return all observations."""
-        return {"position": self.position, "goal": self.goal, "success": self.distance() < 0.03}
+        near, metrics = self.distance() < 0.03, {"effort": self.effort}
+        return {"position": self.position, "goal": self.goal, "success": near, "metrics": metrics}
 
     def distance(self):
         """Return the distance to the goal, [1] m."""

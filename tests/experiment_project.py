@@ -1,5 +1,6 @@
 """A small project with a fast environment and one experiment, for the tests of `rrl reproduce`."""
 
+import shutil
 from pathlib import Path
 
 import yaml
@@ -64,3 +65,12 @@ EXPERIMENT = {
 def write(path, content):
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(yaml.safe_dump(content, sort_keys=False))
+
+
+def write_project(folder):
+    """Write environment, settings and experiment below a folder that is there."""
+    (folder / "point.py").write_text(ENVIRONMENT)
+    shutil.copy(TESTS / "toy_envs.py", folder)
+    write(folder / "configs/env/point.yaml", ENV)
+    write(folder / "configs/reproduce.yaml", SETTINGS)
+    write(folder / "configs/experiment/drift.yaml", EXPERIMENT)

@@ -4,6 +4,7 @@ import importlib.util
 import re
 import shlex
 import sys
+from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -29,14 +30,16 @@ from rrl.trainers.training.learner import build
 from rrl.transforms import StepLimit
 from toy_envs import PointMass
 
+EXTRAS = {"metaworld": "metaworld", "fetch": "gymnasium_robotics", "robosuite": "robosuite"}
+"""Modules of rrl.envs.gallery, and the packages that they need."""
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", ROOT / "examples/README.md", *sorted((ROOT / "docs").glob("*.md"))]
 TUTORIAL = ROOT / "docs/tutorial.ipynb"
 
 
-def blocks(language):
-    """Fenced blocks of every document, named by their place."""
-    for document in DOCUMENTS:
+def blocks(language, documents=DOCUMENTS):
+    """Fenced blocks of documents, named by their place."""
+    for document in documents:
         text = document.read_text()
         for found in re.finditer(rf"^```{language}\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
             line = text[: found.start()].count("\n") + 2
@@ -81,7 +84,10 @@ class Robot:
 
 
 @pytest.mark.parametrize("snippet", [*blocks("python")])
-def test_python_runs(snippet, folder):
+@pytest.mark.filterwarnings("ignore:::(?!rrl)")  # the gallery's packages warn of one another
+def test_python_runs(snippet, folder, tmp_path):
+    for module in re.findall(r"from rrl.envs.gallery import (\w+)", snippet):
+        pytest.importorskip(EXTRAS[module], exc_type=ImportError)
     user_has = {
         "base": PointMass([1]),
         "controller": ProportionalController("end_effector_position", gain=1.0),
@@ -92,6 +98,30 @@ def test_python_runs(snippet, folder):
     exec(compile(snippet, "snippet", "exec"), names)
     if "env" in names:
         assert names["env"].rollout(2)["base_action"].shape[-1] > 0
+    if "environment" in names:
+        check_played(names["environment"], tmp_path)
+
+
+def check_played(environment, folder):
+    """The document's first snippet plays an episode of the controller; nothing is learned."""
+    environment = replace(environment, max_episode_steps=10)  # of an evaluation
+    names = {}
+    exec(next(blocks("python", [ROOT / "docs/your_task.md"])).values[0], names)
+    few = {"every": 0, "episodes": 1, "final_episodes": 1}
+    summary = names["train"](environment, folder, total_steps=0, evaluation=few)
+    assert summary["return"] == summary["controller_return"]
+
+
+def lines_of_the_user(snippet):
+    """Lines but imports, comments, and brackets alone."""
+    lines = (line.split("#")[0].strip(" )]},") for line in snippet.splitlines())
+    return [line for line in lines if line and not line.startswith(("import ", "from "))]
+
+
+@pytest.mark.parametrize("snippet", [*blocks("python", [ROOT / "docs/your_task.md"])])
+def test_twelve_lines_are_enough_for_a_task(snippet):
+    assert len(lines_of_the_user(snippet)) <= 12
+    assert "class" not in snippet
 
 
 @pytest.mark.parametrize("snippet", [*blocks("yaml")])

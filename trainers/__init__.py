@@ -37,7 +37,7 @@ _MODULES = {
     "EnvironmentFactory": ".environment",
     "EvaluationSettings": ".settings",
     "Input": ".environment",
-    "Metric": ".environment",
+    "Metric": ".metric",
     "Trainer": ".training.trainer",
     "TrainerSettings": ".settings",
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import io
 import os
 import sys
@@ -14,8 +15,24 @@ from rich.console import Console
 
 __all__ = ["DurableStream", "Output", "durable_output"]
 
+AS_BYTES = "rrl.as_bytes"
+"""How streams write what their encoding lacks: parts of a path as the bytes that they are, so that
+a command can be pasted, and all else escaped."""
 WIDE = 10_000
 """Columns of what is no terminal: nothing is wrapped there."""
+
+
+def _as_bytes(error: UnicodeError) -> tuple[str | bytes, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    escaped = codecs.lookup_error("surrogateescape")
+    try:
+        return escaped(error)
+    except UnicodeEncodeError:
+        return codecs.lookup_error("backslashreplace")(error)
+
+
+codecs.register_error(AS_BYTES, _as_bytes)
 
 
 class Output(Console):
@@ -51,7 +68,7 @@ class DurableStream(io.TextIOBase):
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
+            stream.reconfigure(errors=AS_BYTES)
 
     @property
     def encoding(self) -> str:  # type: ignore[override]

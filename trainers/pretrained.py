@@ -28,7 +28,7 @@ from .report.runs import Run
 from .seeds import Stream, first_seed
 from .storage.checkpoints import load_components
 from .storage.run_files import CONFIG_FILE, seed_directories
-from .training.collection import interface_of
+from .training.interface import interface_of
 from .training.run_policy import RunPolicy
 
 __all__ = [

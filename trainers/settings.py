@@ -21,6 +21,7 @@ __all__ = [
     "EvaluationSettings",
     "NonNegative",
     "Positive",
+    "RealTimeSettings",
     "TrainerSettings",
     "default_config",
 ]
@@ -150,6 +151,30 @@ class CheckpointSettings(_Settings):
     keep: Positive = IN_YAML
 
 
+class RealTimeSettings(_Settings):
+    """How the environment is stepped in wall-clock time, with ``collection: realtime``.
+
+    Attributes:
+        period: Seconds from one action to the next; None: what the environment says.
+        budget: Share of the period in which the policy has to answer; a step without an answer by
+            then is late.
+        late: What a late step does: ``controller`` acts alone; ``hold`` the last command, as near
+            as the residual's authority allows; ``stop`` the robot, which ends the episode.
+        weights: When the acting process takes over new weights: at the end of every ``episode``, or
+            every so many steps.
+        retry: Seconds between attempts to reset a robot that was stopped by a fault.
+        priority: Real-time priority of the acting process, 1 to 99; 0: none.
+    """
+
+    section = "realtime"
+    period: Annotated[float, Field(gt=0)] | None = IN_YAML
+    budget: Annotated[float, Field(gt=0, le=1)] = IN_YAML
+    late: Literal["controller", "hold", "stop"] = IN_YAML
+    weights: Literal["episode"] | Positive = IN_YAML
+    retry: Annotated[float, Field(gt=0)] = IN_YAML
+    priority: Annotated[int, Field(ge=0, le=99)] = IN_YAML
+
+
 class TrainerSettings(_Settings):
     """The settings of one training run; what is left out is as in ``configs/train.yaml``.
 
@@ -172,10 +197,12 @@ class TrainerSettings(_Settings):
         buffer_capacity: Transitions kept for replay.
         intervention_share: Part of every batch, at least, that comes from steps that an operator
             has taken over, as soon as there are any.
-        overlap: Collect the next round in a second process while this round's updates run; round
-            ``k`` then acts with the policy of round ``k - 1``'s start.
         keys: Whether a person may pause, judge and stop by keys, where standard input is a
             terminal.
+        collection: ``turn`` with the updates; ``overlap``: a second process collects the next round
+            meanwhile, and round ``k`` acts with the policy of round ``k - 1``'s start;
+            ``realtime``: a process of its own steps the environment at its control period.
+        realtime: See :class:`RealTimeSettings`.
         profile: Time the parts of a collection too, and print at the end where a step's time went.
         threads: Torch threads. Products of small networks gain little from a second one, and wait
             long for it where another process is busy.
@@ -202,8 +229,9 @@ class TrainerSettings(_Settings):
     batch_size: Positive = IN_YAML
     buffer_capacity: Positive = IN_YAML
     intervention_share: Annotated[float, Field(ge=0, le=1)] = IN_YAML
-    overlap: bool = IN_YAML
     keys: bool = IN_YAML
+    collection: Literal["turn", "overlap", "realtime"] = IN_YAML
+    realtime: RealTimeSettings = IN_YAML
     profile: bool = IN_YAML
     threads: Positive = IN_YAML
     flush_denormals: bool = IN_YAML
@@ -280,6 +308,11 @@ class TrainerSettings(_Settings):
             raise ValueError(
                 f"buffer_capacity: expected at least {least}, to hold a batch ({self.batch_size}) "
                 f"and {per_round}, got {self.buffer_capacity}"
+            )
+        if self.collection == "realtime" and (self.num_envs > 1 or self.profile):
+            raise ValueError(
+                "collection: realtime steps one environment and measures its own timing: expected "
+                f"num_envs 1 and profile false, got {self.num_envs} and {self.profile}"
             )
         multiples = {
             "total_steps": self.total_steps,

@@ -50,7 +50,8 @@ def _make(make: Callable[[], EnvBase], report: Path) -> EnvBase:
             try:
                 return call(*args, **kwargs)
             except BaseException as error:  # SystemExit too: the worker ends with it
-                report.write_text(traceback.format_exception_only(error)[-1], encoding="utf-8")
+                text = traceback.format_exception_only(error)[-1]
+                report.write_text(text, encoding="utf-8", errors="surrogateescape")
                 raise
 
         return run

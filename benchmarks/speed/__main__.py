@@ -38,7 +38,7 @@ def plan(runs: int) -> dict[str, list[list[str]]]:
     peers = [name for name in PEERS if importlib.util.find_spec(NEEDS.get(name, "torch"))]
     if runs == 1:
         return {name: [[name]] for name in ("rrl", "rrl-plain", *peers)}
-    in_turn = {"rrl": ["trainer.overlap=false"]}  # a process that collects would be one too many
+    in_turn = {"rrl": ["trainer.collection=turn"]}  # a process that collects would be one too many
     return {
         name: [[name, "--seed", str(k), *in_turn.get(name, [])] for k in range(runs)]
         for name in ("rrl", *peers)

@@ -21,13 +21,13 @@ from benchmarks.speed.torchrl_trainer import td3_trainer
 
 FAST = [
     "algorithm.agent.compiled=true",
-    "trainer.overlap=true",
+    "trainer.collection=overlap",
     "trainer.steps_per_collection=50",
     "trainer.matmul_precision=medium",
 ]
 PLAIN = [
     "algorithm.agent.compiled=false",
-    "trainer.overlap=false",
+    "trainer.collection=turn",
     "trainer.steps_per_collection=1",
     "trainer.matmul_precision=highest",
 ]

@@ -32,6 +32,7 @@ def make(task: str) -> Any:
         raise ValueError(f"task: expected one of {known}, got {task!r}")
     env = tasks[name](seed=0)
     env._freeze_rand_vec = False  # otherwise every episode has the same start
+    env.observation_space = env.sawyer_observation_space  # it was made before the goal was shown
     env.seeded_rand_vec = True  # draw from the environment's generator, not from NumPy's
     return env
 
@@ -62,7 +63,7 @@ class Scripted:
 
     def __call__(self, observation: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return the action ``[4]``, within [-1, 1], for an observation ``[39]``."""
-        seen = observation.astype(np.float64)  # a copy: some policies write into it
+        seen = observation.astype(np.float64)
         for entries in OBJECT:
             seen[entries] += self.object_offset
         action = np.clip(self.policy.get_action(seen), -1.0, 1.0)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 import copy
+import weakref
 from typing import Annotated
 
 import mujoco
@@ -96,6 +98,7 @@ class TaskCamera:
         model, data, size = self._model, self._data, self.config.picture_size
         if self._renderer is None:
             self._renderer = opened(model, self.config.camera, size, size)
+            atexit.register(_close, weakref.ref(self))  # before OpenGL itself is taken down
         self._start.set_blocks(model, yaw, place)
         mujoco.mj_setState(model, data, state, STATE)
         mujoco.mj_kinematics(model, data)
@@ -116,3 +119,8 @@ class TaskCamera:
             reach = lamp.pos[2] / -lamp.dir[2]  # along its ray, to the height of the platform
             ray = reach * lamp.dir - np.asarray(self.config.light_shift)
             lamp.dir[:] = ray / np.linalg.norm(ray)
+
+
+def _close(camera: weakref.ref[TaskCamera]) -> None:
+    if (found := camera()) is not None:
+        found.close()

@@ -84,8 +84,9 @@ class Reading:
 class Readings:
     """What actor and critics read.
 
-    Critics that read all that the actor reads share its encoder and teach it; what they read beyond
-    that has an encoder of its own. Otherwise each has its own, and the policy teaches the actor's.
+    Critics that read what the actor reads share its encoder and teach it. Critics with entries of
+    their own have an encoder of their own, and the policy teaches the actor's: they would teach it
+    nothing that they can read elsewhere, such as in the poses that only a simulation knows.
 
     Args:
         inputs: Of the actor.
@@ -94,24 +95,21 @@ class Readings:
 
     Attributes:
         actor: The actor's.
-        critic: What the critics read beside it, or in its place; None: nothing.
+        critic: The critics'.
+        learn: Whether an encoder learns.
     """
 
     def __init__(self, inputs: Inputs, critic_inputs: Inputs, make_encoder: EncoderFactory) -> None:
-        self._shared = not critic_inputs or inputs.keys() <= critic_inputs.keys()
-        self.actor = Reading(OBSERVATION, inputs, make_encoder, taught_by_policy=not self._shared)
-        own = {k: entry for k, entry in critic_inputs.items() if not (self._shared and k in inputs)}
-        self.critic = Reading(CRITIC_OBSERVATION, own, make_encoder) if own else None
-        self._all = [self.actor] if self.critic is None else [self.actor, self.critic]
+        shared = not critic_inputs
+        self.actor = Reading(OBSERVATION, inputs, make_encoder, taught_by_policy=not shared)
+        self.critic = self.actor
+        if not shared:
+            self.critic = Reading(CRITIC_OBSERVATION, critic_inputs, make_encoder)
+        self._all = [self.actor] if shared else [self.actor, self.critic]
         self.learn = any(reading.learned for reading in self._all)
 
     def __iter__(self) -> Iterator[Reading]:
         return iter(self._all)
-
-    @property
-    def of_critics(self) -> list[Reading]:
-        """What the critics read."""
-        return [r for r in self._all if self._shared or r is not self.actor]
 
     def prepare(self, batches: TensorDictBase) -> TensorDict:
         """Return transitions with the features of fixed encoders in the place of entries."""

@@ -137,7 +137,8 @@ class FunctionController(StatefulController):
         return self._slots
 
     def _call(self, function: Any, values: Sequence[Tensor]) -> Tensor:
-        given = [value.cpu().numpy() for value in values] if self._numpy else values
+        # Copies: some functions write into their arguments.
+        given = [value.cpu().numpy().copy() if self._numpy else value.clone() for value in values]
         action = torch.as_tensor(getattr(function, "act", function)(*given))
         return action.to(values[0].device) if values else action
 

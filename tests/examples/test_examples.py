@@ -12,6 +12,7 @@ from rrl.trainers import EnvironmentFactory
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 TRAINED = [
+    "budget",
     "composer_task",
     "control_suite",
     "frozen_policy",

@@ -101,7 +101,7 @@ def check_run(make_trainer, tmp_path):
             assert 0 < resumed.env_steps < total
             again = resumed.run()
             assert resumed.env_steps == total
-            stored = resumed.store.log.read(0, total)[0]
+            stored = resumed.store.newest()
             assert resumed.store.log.count == total
             assert resumed.collection.can_continue == simulation
         for results in (whole, again):

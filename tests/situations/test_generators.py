@@ -4,8 +4,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-from runs import assert_same_run
 
+from runs import assert_same_run
 from situation_envs import Careless, batched
 
 EVALUATED = {"evaluation": {"every": 60, "episodes": 3, "final_episodes": 4, "slots": 4}}

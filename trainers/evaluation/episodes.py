@@ -47,6 +47,12 @@ class Episodes:
     limited: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
     declared: Mapping[str, Metric] = field(default_factory=dict)
 
+    @property
+    def keeps_budgets(self) -> bool:
+        """Whether the mean of every metric with a budget is within it."""
+        budgets = {n: how.budget for n, how in self.declared.items() if how.budget is not None}
+        return all(self.metrics[name].mean() <= budget for name, budget in budgets.items())
+
     def summary(self) -> dict[str, float]:
         """Return means over the episodes.
 

@@ -7,6 +7,7 @@ The store::
             rotation-0.1-residual-rl-3f2a91c0/   experiment, setting and arm that asked first; key
                 seed-0/                          an ordinary directory of `rrl train`
         figures/                                 PNG and SVG, and the numbers behind them as CSV
+        gallery.md                               of an experiment with a task for every arm
         report.html                              report-NAME.html for experiments called by name
 
 A key is a checksum of the settings that decide what is learned and measured, without the seed.
@@ -160,7 +161,9 @@ def _points_of(experiment: Experiment, settings: Settings, compose: Compose) -> 
     for name, overrides in experiment.sources.items():
         sources[name] = point(name, overrides, None, False)
     values = sweep.values[settings.scale] if sweep else (None,)
-    arms = [point(arm, o, value, True) for value in values for arm, o in experiment.arms.items()]
+    arms = [
+        point(arm, o, value, True) for value in values for arm, o in experiment.all_arms.items()
+    ]
     return [*sources.values(), *arms]
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from ..configuration.checks import PlainName, explain
+from ..configuration.schema import PlainName, explain
 from ..settings import Positive
 
 __all__ = [
@@ -61,6 +61,9 @@ class Experiment(_Section):
         sources: Runs that others start from, by name: ``key=run:NAME`` in an arm becomes the
             directory of that run with the same seed.
         arms: Name to overrides.
+        tasks: Name to overrides; on every task there is an arm ``TASK, CHANGE`` for each of
+            ``changes``, before those of ``arms``.
+        changes: Name to overrides.
         sweep: Settings of every arm.
         scales: Further overrides, by scale.
     """
@@ -75,6 +78,8 @@ class Experiment(_Section):
     overrides: Overrides = ()
     sources: dict[PlainName, Overrides] = {}
     arms: dict[str, Overrides] = {}
+    tasks: dict[str, Overrides] = {}
+    changes: dict[str, Overrides] = {}
     sweep: Sweep | None = None
     scales: dict[str, Overrides] = {}
 
@@ -83,9 +88,21 @@ class Experiment(_Section):
         """Title, and where the paper has it."""
         return f"{self.title} ({self.paper})" if self.paper else self.title
 
+    @property
+    def all_arms(self) -> dict[str, Overrides]:
+        """Every change on every task, and the other arms."""
+        crossed = {
+            f"{task}, {change}": (*of_task, *of_change)
+            for task, of_task in self.tasks.items()
+            for change, of_change in self.changes.items()
+        }
+        return {**crossed, **self.arms}
+
     @model_validator(mode="after")
     def _check(self) -> Experiment:
-        if bool(self.arms) == bool(self.runs_of):
+        if bool(self.tasks) != bool(self.changes):
+            raise ValueError("expected tasks and changes, or neither")
+        if bool(self.all_arms) == bool(self.runs_of):
             raise ValueError("expected either arms or runs_of")
         if self.figure == "sweep" and self.sweep is None:
             raise ValueError("figure: sweep needs a sweep")
@@ -163,7 +180,7 @@ def load_settings(folders: Sequence[Path], changes: dict[str, Any]) -> Settings:
 
 
 def _with_runs(experiment: Experiment, other: Experiment) -> Experiment:
-    shared = ("overrides", "sources", "arms", "sweep", "scales")
+    shared = ("overrides", "sources", "arms", "tasks", "changes", "sweep", "scales")
     return experiment.model_copy(update={name: getattr(other, name) for name in shared})
 
 

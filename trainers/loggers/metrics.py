@@ -13,6 +13,7 @@ __all__ = [
     "FINAL",
     "INTERVENTION",
     "LOSS",
+    "REALTIME",
     "SAFETY",
     "STEP_AXIS",
     "TIME",
@@ -59,6 +60,11 @@ residual would have given, ``intervention/exceeds``."""
 SAFETY = "safety"
 """Share of the training steps in which a limit changed the action: ``safety/workspace``,
 ``safety/step``, ``safety/force``; in evaluations ``eval/<scenario>/safety_<limit>``."""
+
+REALTIME = "realtime"
+"""Of collection in wall-clock time: ``realtime/period_error_ms_p50``, ``_p99`` and ``_max``, the
+same of ``inference_ms``; ``realtime/missed_deadlines`` and ``.../faults``, counts;
+``.../policy_age``, environment steps since the acting policy's; ``.../reset_seconds``."""
 
 CONSTRAINT = "constraint"
 """Of every quantity with a budget: ``constraint/<name>/multiplier``, the price of one budget, and

@@ -16,9 +16,12 @@ SCHEMA_VERSION = 2
 
 
 def write_atomically(path: Path, text: str) -> None:
-    """Replace ``path`` by ``text``; a reader finds all of the old or all of the new."""
+    """Replace ``path`` by ``text``; a reader finds all of the old or all of the new.
+
+    Paths in ``text`` whose bytes Python could not decode are written as these bytes.
+    """
     partial = path.with_name(f".{path.name}.partial")
-    with partial.open("w", encoding="utf-8") as file:
+    with partial.open("w", encoding="utf-8", errors="surrogateescape") as file:
         file.write(text)
         file.flush()
         os.fsync(file.fileno())

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from torchrl.data import LazyTensorStorage, RandomSampler, TensorDictReplayBuffer
 
@@ -16,6 +17,7 @@ from rrl.n_step import n_step_transitions
 
 from .finite import require_finite
 from .room import require_room
+from .stored_images import StoredImages
 from .transition_log import FOLDER, TransitionLog
 
 __all__ = ["ReplayStore", "as_stored", "stored_keys"]
@@ -24,6 +26,12 @@ log = logging.getLogger(__name__)
 
 CHUNK = 2**16
 """Records read at once when a buffer is filled from the log."""
+
+OLDEST = 4096
+"""So many of the oldest transitions name the oldest frame: more than there are environments."""
+
+IMAGE_BATCHES = 4
+"""Batches with images that are sampled at once: their images take more memory than all else."""
 
 
 FLAGS = (INTERVENED, EXCEEDS_AUTHORITY)
@@ -59,6 +67,8 @@ def as_stored(data: TensorDictBase, inputs: Iterable[NestedKey]) -> TensorDictBa
 
 class ReplayStore:
     """Stores every transition twice: in the buffer in memory and, first, in the log on disk.
+
+    Images are stored beside them, each frame once (:class:`.stored_images.StoredImages`).
 
     Record ``n`` of the log is entry ``n % capacity`` of the buffer. A checkpoint therefore needs
     only a position in the log, whatever the buffer's size. What the log holds beyond that position
@@ -103,6 +113,7 @@ class ReplayStore:
             sampler=InterventionSampler(share) if share else RandomSampler(),
         )
         self.log = TransitionLog(run_dir / FOLDER)
+        self.images = StoredImages(run_dir / FOLDER, device)
         self.keys: list[NestedKey] = []
         self.count = 0
 
@@ -110,6 +121,11 @@ class ReplayStore:
     def pending(self) -> int:
         """Transitions in the log that are not in the buffer."""
         return self.log.count - self.count
+
+    def portions(self, k: int) -> list[int]:
+        """Divide ``k`` batches into how many of them should be sampled at once."""
+        most = IMAGE_BATCHES if self.images else max(k, 1)
+        return [min(most, k - first) for first in range(0, k, most)]
 
     def require_room(self, transition_bytes: int) -> None:
         """Refuse a run whose transitions do not fit; the buffer takes its memory with the first.
@@ -126,12 +142,12 @@ class ReplayStore:
 
     def sample(self, k: int) -> TensorDictBase:
         """Draw ``k`` batches with replacement, ``[k, B]``."""
-        data = self.replay.sample(k * self.batch_size)
-        return data.select(*self.keys).reshape(k, self.batch_size)
+        data = self.replay.sample(k * self.batch_size).select(*self.keys)
+        return self.images.get(data).reshape(k, self.batch_size)
 
     def newest(self) -> TensorDictBase:
         """Return all transitions in the buffer, ``[n]``."""
-        return self.replay[:].select(*self.keys)
+        return self.images.get(self.replay[:].select(*self.keys))
 
     def extend(self, data: TensorDictBase) -> TensorDictBase:
         """Store collected ``data`` [E, T]; when this returns it survives the process.
@@ -143,6 +159,7 @@ class ReplayStore:
             FloatingPointError: If there are numbers in it that are not finite; nothing is stored.
             OSError: If the disk is full or gone.
         """
+        data = self.images.put(data, self._last(len(data)) if self.images else None)
         if self.n_step > 1:
             data = n_step_transitions(data, self.n_step, self.gamma)
         transitions = data.transpose(0, 1).reshape(-1)  # in the order of time
@@ -150,12 +167,16 @@ class ReplayStore:
         self.log.append(transitions)
         self._extend_buffer(transitions)
         self.count += len(transitions)
+        if self.images and self.count > self.capacity:
+            slots = range(self.count, self.count + min(OLDEST, self.capacity))
+            self.images.forget(self._at(slots), on_disk=False)
         return transitions
 
     def set_pending_aside(self) -> None:
         """Move the pending transitions to a tail file."""
         number = self.pending
         tail = self.log.cut(self.count)
+        self.images.cut()
         if tail is not None and number:
             log.warning(
                 "%d transitions were stored after the checkpoint: the simulation makes them again, "
@@ -167,7 +188,11 @@ class ReplayStore:
     def keep_whole_rounds(self, size: int) -> None:
         """Leave pending what :meth:`recover` can take in rounds of ``size``; set the rest aside."""
         whole = self.pending // size * size
+        pending = self.log.read(self.count, self.count + whole)[0] if whole else TensorDict()
+        while whole and not self.images.are_whole(pending[:whole]):
+            whole -= size
         self.log.cut(self.count + whole)
+        self.images.cut(pending[:whole] if whole else None)
         if whole:
             log.warning(
                 "%d transitions were stored after the checkpoint; they are learned from again",
@@ -178,12 +203,13 @@ class ReplayStore:
         """Put the next ``size`` pending transitions into the buffer, and return them."""
         return self._fill(self.count, self.count + size)
 
-    def mark(self) -> dict[str, int]:
+    def mark(self) -> dict[str, Any]:
         """Return where the buffer stands in the log, which is then on disk up to there."""
         self.log.sync()
-        return {"count": self.count, "checksum": self.log.checksum(self.count)}
+        mark = {"count": self.count, "checksum": self.log.checksum(self.count)}
+        return mark | ({"images": self.images.mark()} if self.images else {})
 
-    def check(self, mark: Mapping[str, int]) -> None:
+    def check(self, mark: Mapping[str, Any]) -> None:
         """Compare the log with a mark.
 
         Raises:
@@ -197,6 +223,19 @@ class ReplayStore:
                 f"{self.log.folder}: expected record {count - 1} as the checkpoint knows it, "
                 "got another"
             )
+        self.images.check(mark.get("images", {}))
+
+    def forget(self, first: int) -> None:
+        """Remove what is on disk of transitions before ``first``, file by file."""
+        self.log.forget(first)
+        if self.images and first > 0:
+            oldest, _ = self.log.read(first, min(first + OLDEST, self.log.count))
+            self.images.forget(oldest, on_disk=True)
+
+    def close(self) -> None:
+        """Close the files that grow."""
+        self.log.close()
+        self.images.close()
 
     def state_dict(self) -> dict[str, Any]:
         """Return the position in the log; the transitions themselves are on disk already."""
@@ -209,19 +248,32 @@ class ReplayStore:
         self.replay.empty()
         writer = {"_cursor": first % self.capacity, "_write_count": first}
         self.replay.writer.load_state_dict(writer)
-        self._fill(first, last)
+        self._fill(first, last, anew=True)
+
+    def _last(self, n: int) -> TensorDictBase | None:
+        """Return the newest ``n`` transitions, in the order of time, without their images."""
+        return self._at(range(self.count - n, self.count)) if self.count >= n else None
+
+    def _at(self, places: range) -> TensorDictBase:
+        return self.replay[torch.tensor([place % self.capacity for place in places])]
 
     def _extend_buffer(self, transitions: TensorDictBase) -> None:
         self.keys = [key for key in transitions.keys(True, True) if key not in FLAGS]
         self.replay.extend(transitions)
 
-    def _fill(self, first: int, last: int) -> TensorDict:
+    def _fill(self, first: int, last: int, anew: bool = False) -> TensorDict:
         """Put records into the buffer; return those of the last chunk."""
         transitions = TensorDict()
         for start in range(first, last, CHUNK):
             transitions, damaged = self.log.read(start, min(start + CHUNK, last))
             if damaged:
                 self._replace(transitions, damaged, start)
+            for key, bad in self.images.load(transitions, anew and start == first).items():
+                log.warning(
+                    "%d frames of %s are damaged on disk (%s, ...); each is replaced by the one "
+                    "before",
+                    *(len(bad), key, bad[0]),
+                )
             self._extend_buffer(transitions)
         self.count = last
         return transitions

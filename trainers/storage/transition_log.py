@@ -93,11 +93,17 @@ class TransitionLog:
         records = self._records(first, last)
         damaged = self._damaged(records, first)
         fields = {
-            tuple(json.loads(name)): torch.from_numpy(np.ascontiguousarray(records[name]))
+            tuple(json.loads(name)): torch.from_numpy(records[name].copy())
             for name in self._record.names or ()
             if name != CHECKSUM
         }
         return TensorDict(fields, [len(records)]), damaged
+
+    def refresh(self) -> int:
+        """Look how many records another process has appended by now; return :attr:`count`."""
+        if self._dtype is not None or (self.folder / SCHEMA).is_file():
+            self._open()
+        return self.count
 
     def sync(self) -> None:
         """Fsync what was appended since the last time."""

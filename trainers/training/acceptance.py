@@ -31,10 +31,10 @@ class Acceptance:
     """Decides what a run hands over.
 
     The learner's policy is a candidate if it is better, on the followed episodes, than what the run
-    would hand over: by its success rate, at equal rates by its return. It is taken if a
-    sequential test on episodes that nothing else has seen shows that it is not worse than the
-    controller. The error of all candidates of a run together is bounded; see
-    :mod:`~rrl.trainers.evaluation.sequential`.
+    would hand over: by its success rate, at equal rates by whether it keeps the budgets, then by
+    its return. It is taken if a sequential test on episodes that nothing else has seen shows that
+    it is not worse than the controller. The error of all candidates of a run together is bounded;
+    see :mod:`~rrl.trainers.evaluation.sequential`.
 
     Args:
         settings: The run's; without ``acceptance.enabled`` nothing is tested.
@@ -161,7 +161,7 @@ def _outcomes(episodes: Episodes, scale: float) -> NDArray[np.float64]:
     return found.astype(np.float64) / scale
 
 
-def _score(episodes: Episodes) -> tuple[float, float]:
-    """Success rate, then return."""
+def _score(episodes: Episodes) -> tuple[float, bool, float]:
+    """Success rate, then whether budgets are kept, then return."""
     rate = 0.0 if episodes.success is None else float(episodes.success.mean())
-    return rate, float(episodes.returns.mean())
+    return rate, episodes.keeps_budgets, float(episodes.returns.mean())

@@ -30,8 +30,10 @@ from ..environment import EnvironmentFactory
 from ..requests import Request, Requests
 from ..settings import TrainerSettings
 from ..storage.plain_state import from_plain, to_plain
-from .collection import Collection, Exploration, InTurn, Metrics
+from .collection import Collection, InTurn, Metrics
+from .interface import Exploration
 from .interruption import SIGNALS
+from .policy_vector import assign, flatten
 from .profiling import as_background
 from .torch_setup import configure_torch
 
@@ -104,7 +106,7 @@ class InBackground(Collection):
 
     def before_updates(self, next_round: int | None, checkpoint_due: bool) -> None:
         """Begin the next round with the policy as it is now."""
-        self._acting = _parameters(self._policy)
+        self._acting = flatten(self._policy)
         if next_round is not None:
             self._state_before = self.state_dict() if checkpoint_due else None
             self._request(next_round)
@@ -129,7 +131,7 @@ class InBackground(Collection):
         """Return the process's state, before a round that is ahead, and the acting parameters."""
         if self._ahead and self._state_before is not None:
             return self._state_before
-        acting = _parameters(self._policy) if self._acting is None else self._acting
+        acting = flatten(self._policy) if self._acting is None else self._acting
         return {"acting": acting, **_unpack(self._call("state"))}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
@@ -149,7 +151,7 @@ class InBackground(Collection):
         self._process.close()
 
     def _request(self, env_steps: int) -> None:
-        parameters = _parameters(self._policy) if self._acting is None else self._acting
+        parameters = flatten(self._policy) if self._acting is None else self._acting
         self._send("collect", env_steps, parameters.numpy())
         self._ahead = True
 
@@ -197,7 +199,7 @@ class _Worker:
         self.collection.set_policy(self.policy)
 
     def collect(self, env_steps: int, parameters: Any) -> tuple[list[tuple[Any, Any]], Metrics]:
-        _assign(self.policy, torch.from_numpy(parameters))
+        assign(self.policy, torch.from_numpy(parameters))
         start = time.perf_counter()
         data, metrics = self.collection.collect(env_steps)
         if self.collection.settings.profile:
@@ -231,7 +233,7 @@ def _serve(connection: Connection, told: Connection, recipe: bytes) -> None:
         try:
             connection.send((True, make()))
         except Exception as error:
-            connection.send((False, _portable(error)))
+            connection.send((False, portable(error)))
             return False
         return True
 
@@ -267,7 +269,7 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-def _portable(error: Exception) -> bytes:
+def portable(error: Exception) -> bytes:
     """Return an exception with its traceback's text, as another kind where it cannot be sent."""
     text = "".join(traceback.format_exception(type(error), error, error.__traceback__))
     try:
@@ -276,21 +278,6 @@ def _portable(error: Exception) -> bytes:
     except Exception:
         packed = pickle.dumps((RuntimeError(f"{type(error).__name__}: {error}"), text))
     return packed
-
-
-def _tensors(policy: torch.nn.Module) -> list[Tensor]:
-    return [tensor.data for tensor in (*policy.parameters(), *policy.buffers())]
-
-
-def _parameters(policy: torch.nn.Module) -> Tensor:
-    """Return all numbers of a policy in one vector, a copy on the CPU."""
-    return torch.cat([tensor.flatten().cpu() for tensor in _tensors(policy)])
-
-
-def _assign(policy: torch.nn.Module, vector: Tensor) -> None:
-    tensors = _tensors(policy)
-    for tensor, part in zip(tensors, vector.split([t.numel() for t in tensors]), strict=True):
-        tensor.copy_(part.view_as(tensor))
 
 
 def _pack(state: Any) -> bytes:

@@ -3,76 +3,31 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.collectors import Collector
-from torchrl.envs import EnvBase
-from torchrl.envs.transforms import InitTracker
 from torchrl.envs.utils import ExplorationType
 
-from rrl.inputs import Input
-from rrl.keys import ACTION, METRICS, SO_FAR
-from rrl.slot_random import seed_env
-from rrl.transforms import EpisodeValue
+from rrl.keys import ACTION
 
 from ..environment import EnvironmentFactory
 from ..loggers import metrics
 from ..requests import Request, Requests
-from ..seeds import Stream, first_seed
 from ..settings import TrainerSettings
 from ..storage.replay_store import as_stored
-from .collection_metrics import EpisodeReturns, collection_metrics
-from .constraints import budgets
+from .collection_metrics import Authority, EpisodeReturns, collection_metrics
 from .episode_state import EpisodeInProgress
+from .interface import Exploration, Interface, prepare
 from .profiling import measured, watch_collection
 
-__all__ = ["Collection", "Exploration", "InTurn", "Interface", "interface_of"]
+__all__ = ["Collection", "InTurn"]
 
 Metrics = dict[str, float]
-
-Exploration = Callable[..., TensorDictModuleBase | None]
-"""Makes TorchRL's exploration module, or None where the policy explores by itself; called with
-``spec``."""
-
-
-@dataclass(frozen=True)
-class Interface:
-    """What a run must know of the environment.
-
-    Attributes:
-        inputs: Of the policy.
-        action_size: Numbers of an action.
-        critic_inputs: Of the critics; None: the same.
-        transition_bytes: What a stored transition takes.
-    """
-
-    inputs: dict[str, Input]
-    action_size: int
-    critic_inputs: dict[str, Input] | None = None
-    transition_bytes: int = 0
-
-    @property
-    def entries(self) -> list[str]:
-        """All entries that actor or critics read."""
-        return list(self.inputs | (self.critic_inputs or {}))
-
-    def arguments(self) -> dict[str, Any]:
-        """Return the arguments that a learner is made with."""
-        arguments = {"inputs": self.inputs, "action_size": self.action_size}
-        if self.critic_inputs is not None:
-            arguments["critic_inputs"] = self.critic_inputs
-        return arguments
-
-
-def interface_of(environment: EnvironmentFactory, env: EnvBase) -> Interface:
-    """Return what a learner must know of an environment that the factory has made."""
-    size = env.full_action_spec[ACTION].shape[-1]
-    return Interface(environment.read_inputs(env), size, environment.read_critic_inputs(env))
 
 
 class Collection(ABC):
@@ -119,6 +74,10 @@ class Collection(ABC):
     def start_episode(self, seed: int) -> None:
         """Begin the next episode; what is random about it comes from ``seed``."""
 
+    def paused(self) -> AbstractContextManager[None]:
+        """Leave the environment to somebody else while the body runs, such as an evaluation."""
+        return nullcontext()
+
     @abstractmethod
     def state_dict(self) -> dict[str, Any]:
         """Return everything that a checkpoint after this round needs."""
@@ -145,20 +104,7 @@ class InTurn(Collection):
         self, settings: TrainerSettings, environment: EnvironmentFactory, exploration: Exploration
     ) -> None:
         self.settings = settings
-        self.env = environment.make(settings.num_envs, operated=True)
-        seed_env(self.env, first_seed(Stream.TRAINING, settings.seed))
-        spec = self.env.full_action_spec[ACTION]
-        interface = interface_of(environment, self.env)
-        self.exploration = exploration(spec=spec)
-        if hasattr(self.exploration, "is_init_key"):  # a process that starts anew with an episode
-            self.env.append_transform(InitTracker())
-        self._costs: list[NestedKey] = []  # what constraints are about
-        if constrained := budgets(environment.metrics, settings.constraints):
-            reductions = {(METRICS, n): environment.metrics[n].reduce for n in constrained}
-            self.env.append_transform(EpisodeValue(reductions))
-            self._costs = [(SO_FAR, name) for name in constrained]
-        size = _transition_bytes(self.env, [*interface.entries, *self._costs]) // settings.num_envs
-        self.interface = replace(interface, transition_bytes=size)
+        self.env, self.interface, self.exploration = prepare(settings, environment, exploration)
         self.requests = Requests()
         self.env.listen_to(self.requests)
         self._returns = EpisodeReturns(settings.num_envs)
@@ -205,11 +151,11 @@ class InTurn(Collection):
         """Collect now."""
         with torch.no_grad():
             data = self.rollout(env_steps)
-            kept = [*self.interface.entries, *self._costs]
+            kept = self.interface.kept
             if self.env.__dict__.get("_torchrl_native_autoreset", False):
                 _fill_in_last_observations(data, kept)
             stored = as_stored(data, kept)
-            values = collection_metrics(data, self.env) | self._returns.metrics(data)
+            values = collection_metrics(data, Authority.of(self.env)) | self._returns.metrics(data)
         return stored, values | measured(self.stopwatch) | metrics.clock(self.env.lap())
 
     @property
@@ -246,12 +192,6 @@ class InTurn(Collection):
             self.collector.shutdown()
         else:
             self.env.close()
-
-
-def _transition_bytes(env: EnvBase, kept: Iterable[NestedKey]) -> int:
-    """Return what a transition of all slots takes."""
-    example = as_stored(env.fake_tensordict(), kept)
-    return sum(value.numel() * value.element_size() for value in example.values(True, True))
 
 
 def _fill_in_last_observations(data: TensorDictBase, inputs: Iterable[NestedKey]) -> None:

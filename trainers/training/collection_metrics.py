@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -12,7 +14,7 @@ from rrl.transforms import ResidualAction
 
 from ..loggers import metrics
 
-__all__ = ["EpisodeReturns", "collection_metrics"]
+__all__ = ["Authority", "EpisodeReturns", "collection_metrics"]
 
 
 class EpisodeReturns:
@@ -43,7 +45,31 @@ class EpisodeReturns:
         return {name: float(returns.mean())} if len(returns) else {}
 
 
-def collection_metrics(data: TensorDictBase, env: TransformedEnv) -> dict[str, float]:
+class Authority(NamedTuple):
+    """What the residual can do to the executed action, numbers ``[n]`` of the action's units.
+
+    Attributes:
+        low: Smallest executed action.
+        high: Largest executed action.
+        span: What a residual of 1 adds.
+    """
+
+    low: Tensor
+    high: Tensor
+    span: Tensor
+
+    @classmethod
+    def of(cls, env: TransformedEnv) -> Authority:
+        """Read it from the environment's :class:`~rrl.ResidualAction`."""
+        residual_action = next(t for t in env.transform if isinstance(t, ResidualAction))
+        limits = residual_action.limits()
+        low, high, half_range = (
+            x.reshape(-1, x.shape[-1])[0] for x in (limits.low, limits.high, limits.half_range)
+        )
+        return cls(low, high, (residual_action.scale * half_range).to(low.dtype))
+
+
+def collection_metrics(data: TensorDictBase, authority: Authority) -> dict[str, float]:
     """Return metrics of collected data ``[E, T]``.
 
     ``train/reward`` and ``train/reward_terms/*`` are means over steps; ``train/success`` is the
@@ -66,16 +92,12 @@ def collection_metrics(data: TensorDictBase, env: TransformedEnv) -> dict[str, f
         values[metrics.name(metrics.INTERVENTION, "exceeds")] = _mean(told["exceeds"])
     for limit, changed in following.get(SAFETY, {}).items():
         values[metrics.name(metrics.SAFETY, limit)] = _mean(changed)
-    return values | _shares(data, env)
+    return values | _shares(data, authority)
 
 
-def _shares(data: TensorDictBase, env: TransformedEnv) -> dict[str, float]:
-    residual_action = next(t for t in env.transform if isinstance(t, ResidualAction))
-    limits = residual_action.limits()
-    low, high, half_range = (
-        x.reshape(-1, x.shape[-1])[0] for x in (limits.low, limits.high, limits.half_range)
-    )
-    residual = residual_action.scale * half_range * data[ACTION]
+def _shares(data: TensorDictBase, authority: Authority) -> dict[str, float]:
+    low, high, span = authority
+    residual = span * data[ACTION]
     base = data[BASE_ACTION]
     clipped = (base + residual < low) | (base + residual > high)
     size, base_size = residual.abs().mean(), base.abs().mean()

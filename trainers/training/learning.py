@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import torch
 import yaml
 
 from rrl.algorithms import Agent
@@ -61,11 +62,16 @@ class Learning:
             self._derive()
             updates += self.agent.settings.critic_burn_in
         compiled = self.agent.compile_seconds
+        sums: dict[str, tuple[float, int]] = {}
         with self.generator.drawing():
-            with self.stopwatch("sample"):
-                batches = self.store.sample(updates)
-                batches = self.constraints.charge(batches, self.agent.reward_scale)
-            losses = self.agent.update(batches)
+            for size in self.store.portions(updates):
+                with self.stopwatch("sample"):
+                    batches = self.store.sample(size)
+                    batches = self.constraints.charge(batches, self.agent.reward_scale)
+                for key, value in self.agent.update(batches).items():
+                    total, count = sums.get(key, (0.0, 0))
+                    sums[key] = total + float(value) * size, count + size
+        losses = {key: torch.tensor(total / count) for key, (total, count) in sums.items()}
         self.stopwatch.add("compile", self.agent.compile_seconds - compiled)
         require_finite(losses, "the update gave")
         return {metrics.name(metrics.LOSS, key): float(value) for key, value in losses.items()}

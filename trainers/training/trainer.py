@@ -25,11 +25,12 @@ from ..storage.finite import require_finite
 from ..storage.replay_store import ReplayStore
 from ..storage.same_run import require_same_run
 from .acceptance import Acceptance
-from .background_collection import InBackground
 from .clock import Clock
-from .collection import Collection, Exploration, InTurn, Metrics
+from .collecting import make_collection
+from .collection import Metrics
 from .constraints import Constraints
 from .counters import Counters
+from .interface import Exploration
 from .interruption import Interruption
 from .keys import listening
 from .learner import default_agent, default_exploration
@@ -86,9 +87,8 @@ class Trainer:
         settings.check_operator(environment.intervention is not None)
         configure_torch(settings)
         self.run_dir.mkdir(parents=True, exist_ok=True)
-        collect = InBackground if settings.overlap else InTurn
         explore = exploration or default_exploration()
-        self.collection: Collection = collect(settings, environment, explore)
+        self.collection = make_collection(settings, environment, explore, self.run_dir)
         make_agent = agent or default_agent(environment)
         self.agent = make_agent(**self.collection.interface.arguments())
         self.agent.to(settings.device)
@@ -215,7 +215,7 @@ class Trainer:
         for logger in self.loggers:
             logger.finish()
         self.checkpoints.release()
-        self.store.log.close()
+        self.store.close()
         for close in (self.evaluator.close, self.collection.close):
             try:
                 close()
@@ -271,7 +271,7 @@ class Trainer:
             logger.flush()
         note = {"transitions": self.store.mark(), "config": self.config}
         self.checkpoints.save(self.env_steps, note)
-        self.store.log.forget(self.checkpoints.oldest_transition() - self.store.capacity)
+        self.store.forget(self.checkpoints.oldest_transition() - self.store.capacity)
 
     def _stop_if_asked(self) -> None:
         if self.interruption.signal is not None and not self.collection.is_ahead:
@@ -280,7 +280,7 @@ class Trainer:
 
     def _evaluate(self) -> None:
         followed, episodes = self.evaluator.followed, self.settings.evaluation.episodes
-        with self.stopwatch("evaluate"):
+        with self.stopwatch("evaluate"), self.collection.paused():
             latest = self.evaluator.compare(self.agent.policy, followed, Stream.FOLLOWING, episodes)
             comparison, tested = self.acceptance.consider(latest, self.env_steps)
         self.progress.show(comparison, self.env_steps)
@@ -291,7 +291,7 @@ class Trainer:
         compare = partial(self.acceptance.handed_over.compare, self.evaluator, self.env_steps)
         for scenario in self.progress.track(self.evaluator.scenarios, "evaluating"):
             self._stop_if_asked()
-            with self.stopwatch("evaluate"):
+            with self.stopwatch("evaluate"), self.collection.paused():
                 results[scenario] = compare(scenario, Stream.FINAL, episodes)
             summary = metrics.evaluation(metrics.FINAL, scenario, results[scenario].summary())
             self._log(summary | measured(self.stopwatch))

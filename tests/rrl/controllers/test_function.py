@@ -92,6 +92,20 @@ def test_where_a_batch_is_not_taken() -> None:
     assert torch.equal(out[:, 0], torch.where(right, 1.0, -1.0))
 
 
+@pytest.mark.parametrize("numpy", [True, False])
+@pytest.mark.parametrize("batched", [True, False])
+def test_a_function_that_writes_into_its_arguments_changes_nothing_else(numpy, batched) -> None:
+    def careless(position):
+        position += 1.0
+        return position
+
+    data = state([2])
+    before = data.clone()
+    out = FunctionController(careless, KEYS[:1], batched=batched, numpy=numpy).act(data)
+    assert torch.equal(out, before[KEYS[0]] + 1.0)
+    assert torch.equal(data[KEYS[0]], before[KEYS[0]])
+
+
 def test_a_module_is_a_function_too() -> None:
     module, data = nn.Linear(2, 2), state([3])
     controller = FunctionController(module, KEYS[:1], batched=True, numpy=False)

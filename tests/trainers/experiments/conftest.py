@@ -1,11 +1,10 @@
 """A project of its own with a fast environment and a small experiment."""
 
-import shutil
 from functools import partial
 
 import pytest
 
-from experiment_project import ENV, ENVIRONMENT, EXPERIMENT, SETTINGS, TESTS, write
+from experiment_project import write_project
 from rrl.trainers.cli.compose import compose as compose_config
 from rrl.trainers.console import Output
 from rrl.trainers.experiments.reproduce import reproduce
@@ -15,11 +14,7 @@ from rrl.trainers.experiments.spec import load_experiments
 @pytest.fixture
 def project(tmp_path, monkeypatch):
     """The project's folder, which is the working directory; write experiments with :func:`write`."""
-    (tmp_path / "point.py").write_text(ENVIRONMENT)
-    shutil.copy(TESTS / "toy_envs.py", tmp_path)
-    write(tmp_path / "configs/env/point.yaml", ENV)
-    write(tmp_path / "configs/reproduce.yaml", SETTINGS)
-    write(tmp_path / "configs/experiment/drift.yaml", EXPERIMENT)
+    write_project(tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     return tmp_path

@@ -26,6 +26,20 @@ def test_points_are_arms_times_settings(points):
     assert len({p.key for p in found}) == 2
 
 
+def test_every_change_is_made_on_every_task(points, folders):
+    tasks = {"still": ["env.base.drift=0.0"], "drifting": []}
+    changes = {"the default": [], "short": ["trainer.n_step=1"]}
+    content = {"title": "t", "figure": "tasks", "tasks": tasks, "changes": changes}
+    content["arms"] = {"alone": ["arm=rl"]}
+    write(folders[0] / "experiment/crossed.yaml", content)
+    found = {p.arm: p for p in points("crossed")}
+    both = [f"{task}, {change}" for task in tasks for change in changes]
+    assert list(found) == [*both, "alone"]
+    drifts = [found[arm].config["env"]["base"]["drift"] for arm in both]
+    assert drifts == [0.0, 0.0, 0.06, 0.06]
+    assert found["still, short"].config["trainer"]["n_step"] == 1
+
+
 def test_equal_configurations_share_their_runs(points, folders, tmp_path):
     other = {**EXPERIMENT, "overrides": ["env.base.drift=0.06", "name=another"], "figure": "curves"}
     write(folders[0] / "experiment/same.yaml", {k: v for k, v in other.items() if k != "sweep"})
@@ -94,6 +108,7 @@ def test_what_starts_from_another_run_waits_for_it_and_names_it(points, folders,
             {"sweep": {"key": "k", "label": "l", "values": {"other": [1]}}},
             "expected values for 'tiny'",
         ),
+        ({"tasks": {"a": []}}, "expected tasks and changes, or neither"),
     ],
 )
 def test_a_wrong_experiment_is_explained(change, message, points, folders):
@@ -164,6 +179,15 @@ def test_every_experiment_is_made_of_valid_runs(scale, source):
             overrides = [o.replace("run:sim-policy", f"'{source}'") for o in point.overrides]
             config = compose_config(overrides)
         assert not checks.problems(config), point.name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["gallery", "ablation"])
+def test_other_peoples_tasks_are_made_of_valid_runs(name):
+    points = paper_points("quick", [name])
+    assert len({point.key for point in points}) == len(points)
+    for point in points:
+        assert not checks.problems(point.config), point.name
 
 
 def test_an_experiment_that_has_to_be_named_is_left_out_otherwise_and_sets_its_own_seeds(

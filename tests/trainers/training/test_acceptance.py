@@ -10,16 +10,17 @@ from typing import ClassVar
 import numpy as np
 import pytest
 import torch
-from runs import assert_same
 
 from rrl.algorithms import TD3, mlp
 from rrl.algorithms.networks import last_layer
 from rrl.trainers import AcceptanceSettings, EvaluationSettings
 from rrl.trainers.evaluation.episodes import write_results
 from rrl.trainers.loggers import read_metrics
+from rrl.trainers.metric import Metric
 from rrl.trainers.report.notes import notes
 from rrl.trainers.report.tables import one_run, success_rows
 from rrl.trainers.seeds import Stream, first_seed
+from runs import assert_same
 from toy_envs import DRIFT, STEP_SIZE, PointMass
 
 DEFAULT = AcceptanceSettings()
@@ -126,6 +127,21 @@ def test_a_policy_that_promises_more_and_is_worse_is_not_taken(make, factory):
         assert values["acceptance/accepted"] == 0
         assert values["acceptance/alpha_left"] < DEFAULT.alpha
         assert (action(made.policy, made) == 0).all()
+
+
+def test_of_two_that_solve_as_much_the_one_within_its_budgets_is_better(make):
+    how = {"push": Metric(reduce="max", budget=1.0)}
+    with make() as trainer:
+        say(trainer, AGAINST)
+        found = trainer.evaluator.compare(trainer.agent.policy, "drift", Stream.FOLLOWING, 20)
+        taken = []
+        for push, lost in ((2.0, 0.0), (0.5, 1.0), (0.5, 2.0), (2.0, 0.0)):
+            pushes, returns = np.full(20, push), found.residual.returns - lost
+            changes = {"metrics": {"push": pushes}, "declared": how, "returns": returns}
+            residual = replace(found.residual, **changes)
+            _, values = trainer.acceptance.consider(replace(found, residual=residual), 100)
+            taken.append(values["acceptance/accepted"])
+        assert taken == [1, 1, 0, 0]
 
 
 class Logged(PointMass):

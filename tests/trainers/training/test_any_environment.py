@@ -6,7 +6,6 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from runs import assert_same_run, run
 from tensordict import NonTensorData, TensorDict
 from torch import nn
 from torchrl.data import Binary, Bounded, Composite, NonTensor, Unbounded
@@ -15,6 +14,7 @@ from torchrl.envs import EnvBase
 from rrl.controllers import ProportionalController, ZeroController
 from rrl.trainers import EnvironmentFactory, Input
 from rrl.trainers.settings import AcceptanceSettings, CheckpointSettings, EvaluationSettings
+from runs import assert_same_run, run
 
 EPISODE = 20
 
@@ -167,13 +167,13 @@ def make(make_trainer):
     return make
 
 
-@pytest.mark.parametrize("overlap", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("collection", ["turn", pytest.param("overlap", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("base", [Line, Slashes, Nested, LegacyGenerator, Chatty])
-def test_a_state_of_arrays_generators_and_text_is_saved_and_gone_on_from(make, base, overlap):
+def test_a_state_of_arrays_generators_and_text_is_saved_and_gone_on_from(make, base, collection):
     environment = of(base)
-    whole = run(make("whole", environment, overlap=overlap))
-    run(make("broken", environment, total_steps=90, overlap=overlap))
-    second = make("broken", environment, overlap=overlap)
+    whole = run(make("whole", environment, collection=collection))
+    run(make("broken", environment, total_steps=90, collection=collection))
+    second = make("broken", environment, collection=collection)
     second.resume()
     assert second.collection.can_continue
     assert_same_run(whole, run(second))
@@ -211,11 +211,17 @@ def test_an_environment_that_cannot_go_on_is_found_out_and_begins_a_new_episode(
     assert torch.equal(stored["base_action"][:60], first.replay.storage[:]["base_action"])
 
 
-@pytest.mark.parametrize("overlap", [False, True])
+@pytest.mark.parametrize("collection", ["turn", "overlap"])
 @pytest.mark.parametrize("num_envs", [1, 2])
-def test_double_precision_reaches_the_environment_and_single_the_learner(make, num_envs, overlap):
+def test_double_precision_reaches_the_environment_and_single_the_learner(
+    make, num_envs, collection
+):
     environment = of(Line, dtype=torch.float64)
-    changes = {"num_envs": num_envs, "steps_per_collection": 10 // num_envs, "overlap": overlap}
+    changes = {
+        "num_envs": num_envs,
+        "steps_per_collection": 10 // num_envs,
+        "collection": collection,
+    }
     trainer = run(make("run", environment, **changes))
     stored = trainer.replay.storage[:]
     assert {value.dtype for value in stored.values(True, True)} <= {
@@ -226,13 +232,13 @@ def test_double_precision_reaches_the_environment_and_single_the_learner(make, n
     assert all(p.dtype == torch.float32 for p in trainer.agent.parameters())
 
 
-@pytest.mark.parametrize("overlap", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("collection", ["turn", pytest.param("overlap", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_the_default_type_of_the_process_does_not_matter(make, dtype, overlap):
+def test_the_default_type_of_the_process_does_not_matter(make, dtype, collection):
     torch.set_default_dtype(torch.float64)
     try:
-        trainer = run(make("run", of(Line, dtype=dtype), overlap=overlap))
-        second = make("run", of(Line, dtype=dtype), overlap=overlap, total_steps=150)
+        trainer = run(make("run", of(Line, dtype=dtype), collection=collection))
+        second = make("run", of(Line, dtype=dtype), collection=collection, total_steps=150)
         second.resume()
         run(second)
     finally:

@@ -41,7 +41,7 @@ def make(make_trainer, factory):
         values = {
             "environment": replace(factory, base=base),
             "exploration": partial(OrnsteinUhlenbeckProcessModule, eps_init=0.5, dt=1.0),
-            "overlap": True,
+            "collection": "overlap",
             "total_steps": 180,
             "warmup_steps": 40,
             "evaluation": EvaluationSettings(every=60, episodes=2, final_episodes=2, slots=2),
@@ -79,7 +79,7 @@ def test_a_run_depends_neither_on_timing_nor_on_where_it_stopped(make):
 def test_every_round_acts_with_the_policy_of_the_round_before(make):
     """Round k acts with the parameters that round k - 2 left: written out as a loop in turn."""
     overlapped = run(make("overlapped", agent=None))
-    lagging = make("lagging", overlap=False)
+    lagging = make("lagging", collection="turn")
     policy, parameters = lagging.agent.policy, list(lagging.agent.policy.parameters())
     acting = [p.detach().clone() for p in parameters]
     torch.manual_seed(lagging.settings.seed + COLLECTOR_OFFSET)
@@ -183,12 +183,12 @@ def test_every_kind_of_environment_is_collected_from(
     make_trainer, factory, batching, num_envs, batch_size
 ):
     base = point_mass if batching == "native" else partial(PointMass, batch_size)
-    for overlap in (False, True):
+    for collection in ("turn", "overlap"):
         trainer = make_trainer(
-            f"{batching}-{num_envs}-{overlap}",
+            f"{batching}-{num_envs}-{collection}",
             environment=replace(factory, base=base, batching=batching),
             num_envs=num_envs,
-            overlap=overlap,
+            collection=collection,
             total_steps=120,
             warmup_steps=60,
             evaluation=EvaluationSettings(every=0, final_episodes=2),

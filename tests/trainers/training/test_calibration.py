@@ -4,12 +4,12 @@ from functools import partial
 
 import pytest
 import yaml
-from runs import assert_same_run, run, run_until
 
 from rrl.algorithms import TD3, mlp
 from rrl.trainers.environment import EnvironmentFactory
 from rrl.trainers.settings import default_config
 from rrl.trainers.training.learner import default_agent
+from runs import assert_same_run, run, run_until
 from toy_envs import EPISODE_STEPS
 
 DERIVING = partial(
@@ -33,14 +33,14 @@ def test_a_run_writes_what_it_derived(make_trainer):
     )
 
 
-@pytest.mark.parametrize("overlap", [False, True])
+@pytest.mark.parametrize("collection", ["turn", "overlap"])
 @pytest.mark.parametrize("step", [40, 120])
-def test_a_run_that_died_derives_the_same(make_trainer, simulated, step, overlap):
+def test_a_run_that_died_derives_the_same(make_trainer, simulated, step, collection):
     arguments = {
         "agent": DERIVING,
         "warmup_steps": 100,
         "total_steps": 200,
-        "overlap": overlap,
+        "collection": collection,
         "environment": simulated,
     }
     whole = run(make_trainer("whole", **arguments))

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import torch
 from pydantic import ValidationError
-from runs import assert_same_run, run, run_until
 from torchrl.data import Composite, Unbounded
 
 from rrl.algorithms import DDPG, SAC, TD3, mlp, no_exploration
 from rrl.keys import SO_FAR
 from rrl.trainers import EnvironmentFactory, Metric
 from rrl.trainers.settings import CheckpointSettings, ConstraintSettings, EvaluationSettings
+from runs import assert_same_run, run, run_until
 from toy_envs import DRIFT, EPISODE_STEPS, STEP_SIZE, RememberingPointMass, ResetsItself
 
 SMALL = {"network": partial(mlp, hidden=[32, 32]), "gamma": 0.9}
@@ -141,13 +141,13 @@ def test_the_shares_of_the_steps_sum_up_to_what_the_episode_is_reported_with(
             start = end
 
 
-@pytest.mark.parametrize("overlap", [False, True])
+@pytest.mark.parametrize("collection", ["turn", "overlap"])
 @pytest.mark.parametrize("n_step", [1, 3])
-def test_a_run_that_died_goes_on_at_the_same_price(make_trainer, factory, n_step, overlap):
+def test_a_run_that_died_goes_on_at_the_same_price(make_trainer, factory, n_step, collection):
     arguments = {
         "environment": environment(factory, effort={"reduce": "max", "budget": 0.3}),
         "n_step": n_step,
-        "overlap": overlap,
+        "collection": collection,
         "checkpoint": CheckpointSettings(every=40),
     }
     whole = run(make_trainer("whole", **arguments))

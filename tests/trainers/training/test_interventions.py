@@ -7,11 +7,11 @@ from functools import partial
 
 import pytest
 import torch
-from runs import assert_same_run, run, run_until
 
 from rrl.controllers import ProportionalController
 from rrl.interventions import ScriptedOperator
 from rrl.transforms import Intervention
+from runs import assert_same_run, run, run_until
 
 
 def operator(**arguments) -> ScriptedOperator:

@@ -27,7 +27,7 @@ def test_a_profile_names_physics_transforms_policy_sampling_and_update(make_trai
 
 
 def test_what_a_second_process_does_stands_below_the_sum(make_trainer, simulated):
-    with make_trainer(profile=True, overlap=True, environment=simulated) as trainer:
+    with make_trainer(profile=True, collection="overlap", environment=simulated) as trainer:
         trainer.run()
     rows = trainer.profile.rows()
     names = [name for name, _ in rows]

@@ -1,0 +1,111 @@
+"""Any robot behind a socket."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import zmq
+
+from rrl.robot import Robot, RobotFault
+
+from .faults import DELAY, Faults
+from .protocol import ADDRESS, pack, to_message, unpack
+
+__all__ = ["serve"]
+
+
+def serve(
+    robot: Robot,
+    address: str = ADDRESS,
+    *,
+    tick: Callable[[], float] = lambda: 0.1,
+    running: Callable[[], bool] = lambda: True,
+    faults: Faults | None = None,
+) -> None:
+    """Answer calls of :class:`~rrl.envs.plant.RemoteRobot` until ``running`` returns False.
+
+    Args:
+        robot: Whom the calls are for; it is closed at the end.
+        address: Where to listen, a ZeroMQ address.
+        tick: Called between calls; returns after how many seconds at most it wants to be called
+            again.
+        running: Whether to go on, asked after every call and tick.
+        faults: What it may be told to do wrong, for tests; None: nothing.
+    """
+    with zmq.Context() as context, context.socket(zmq.ROUTER) as socket:
+        socket.linger = 0
+        socket.bind(address)
+        desk = _Desk(robot, socket, faults)
+        try:
+            while running():
+                wait = min(tick(), desk.send_due())
+                if socket.poll(max(0, int(1e3 * wait))):
+                    tick()  # what is measured is of the moment of the call
+                    desk.answer(*socket.recv_multipart())
+        finally:
+            robot.close()
+
+
+class _Desk:
+    """Reads calls and writes answers."""
+
+    def __init__(
+        self, robot: Robot, socket: zmq.Socket[bytes], faults: Faults | None = None
+    ) -> None:
+        self.robot, self.socket = robot, socket
+        self.faults, self._may_fail = faults or Faults(), faults is not None
+        self._answered: dict[bytes, tuple[int, bytes]] = {}  # the last call of each client
+        self._late: deque[tuple[float, bytes, bytes]] = deque()
+
+    def answer(self, client: bytes, data: bytes) -> None:
+        """Do what a call says, once, and answer it."""
+        call = unpack(data)
+        number, last = call["number"], self._answered.get(client, (0, b""))
+        if self.faults.active("drop") or number < last[0]:
+            return
+        if number > last[0]:
+            last = number, pack({"number": number, **self._perform(call)})
+            self._answered[client] = last
+        if self.faults.active("delay") and call["call"] != "fault":
+            self._late.append((time.monotonic() + DELAY, client, last[1]))
+        else:
+            self.socket.send_multipart([client, last[1]])
+
+    def send_due(self) -> float:
+        """Send delayed answers whose time has come; return the seconds to the next."""
+        while self._late and self._late[0][0] <= time.monotonic():
+            _, client, answer = self._late.popleft()
+            self.socket.send_multipart([client, answer])
+        return self._late[0][0] - time.monotonic() if self._late else 0.1
+
+    def _perform(self, call: dict[str, Any]) -> dict[str, Any]:
+        name = call["call"]
+        try:
+            if name == "observe":
+                return self._observe()
+            if name == "command":
+                self.robot.command(call["action"])
+            elif name == "reset":
+                if self.faults.active("refuse"):
+                    raise RobotFault("told to")
+                self.robot.reset(call["seed"])
+            elif name == "stop":
+                self.robot.stop()
+            elif name == "fault" and self._may_fail:
+                self.faults.begin(call["kind"], call["seconds"])
+            elif name == "describe":
+                return {"description": to_message(self.robot.description)}
+            else:
+                return {"refused": f"expected observe, command, reset or stop, got {name!r}"}
+        except (RobotFault, ValueError) as error:
+            return {"refused": str(error)}
+        return {}
+
+    def _observe(self) -> dict[str, Any]:
+        frozen = self.faults.active("freeze")
+        if not frozen or not hasattr(self, "_seen"):
+            self._seen = self.robot.observe()
+        return {"entries": self.faults.spoil(dict(self._seen.entries)), "time": self._seen.time}

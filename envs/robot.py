@@ -1,0 +1,154 @@
+"""Anybody's robot as a TorchRL environment in wall-clock time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Binary, Bounded, Composite, TensorSpec, Unbounded
+from torchrl.envs import EnvBase
+
+from rrl.keys import ACTION, REWARD
+from rrl.pace import Pace
+from rrl.robot import Observation, Robot, RobotFault
+
+__all__ = ["RobotEnv"]
+
+FLAGS = ("terminated", "truncated")
+
+
+class RobotEnv(EnvBase):
+    """A :class:`~rrl.robot.Robot` with ``batch_size []``, driven at its own control period.
+
+    A step commands, waits for the end of the period (:class:`~rrl.pace.Pace`) and observes.
+    Entries, bounds and period are those of the robot's description.
+
+    Reads ``action``; writes the description's entries under their names (those with a slash
+    nested), ``reward`` [1], ``done``, ``terminated`` and ``truncated`` [1].
+
+    Args:
+        robot: The robot, or what makes it.
+        episode_steps: Control steps after which an episode is truncated.
+        seed: Of the seeds that resets get; None draws one from torch's global generator.
+
+    Attributes:
+        pace: When the periods begin, and how late they did.
+
+    Raises:
+        ValueError: If the description has no ``reward``, or an observation is not as described.
+        RobotFault: By steps and resets, if the robot is silent, frozen or refuses, or measures what
+            is not finite.
+    """
+
+    def __init__(
+        self,
+        robot: Robot | Callable[[], Robot],
+        episode_steps: int = 1000,
+        seed: int | None = 0,
+    ) -> None:
+        super().__init__(device="cpu", batch_size=[])
+        self.robot = robot if isinstance(robot, Robot) else robot()
+        self.description, self.episode_steps = self.robot.description, episode_steps
+        self.pace = Pace(self.description.period)
+        self._steps, self._measured_at = 0, float("-inf")
+        self._connected = True
+        self._make_specs()
+        self._set_seed(seed)
+
+    @property
+    def control_period(self) -> float:
+        """Seconds from one action to the next."""
+        return self.description.period
+
+    def stop(self) -> None:
+        """Have the robot stand still."""
+        self.robot.stop()
+
+    def close(self, **kwargs: Any) -> None:
+        """Stop the robot and close its driver."""
+        if self._connected:
+            self._connected = False
+            try:
+                self.robot.stop()
+            finally:
+                self.robot.close()
+        super().close(**kwargs)
+
+    def _make_specs(self) -> None:
+        entries = dict(self.description.entries)
+        if entries.pop(REWARD, None) is None:
+            raise ValueError(
+                f"description.entries: expected {REWARD!r} among them, computed from what is "
+                f"measured, got {sorted(entries)}"
+            )
+        observation = Composite()
+        for name, (shape, dtype) in entries.items():
+            if name not in FLAGS:
+                observation[tuple(name.split("/"))] = _spec(shape, dtype)
+        self.observation_spec = observation
+        low, high = (
+            torch.tensor(bound, dtype=torch.float32)
+            for bound in (self.description.low, self.description.high)
+        )
+        self.action_spec = Bounded(low, high, shape=low.shape, dtype=torch.float32)
+        self.reward_spec = Unbounded((1,), dtype=torch.float32)
+        self.done_spec = Composite({name: _spec((1,), "bool") for name in ("done", *FLAGS)})
+
+    def _set_seed(self, seed: int | None) -> None:
+        if seed is None:
+            seed = int(torch.randint(2**31, ()).item())
+        self._seeds = np.random.default_rng(seed)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
+        self.robot.reset(int(self._seeds.integers(2**31)))
+        self._steps, self._measured_at = 0, float("-inf")
+        self.pace.start()
+        return self._read().exclude(REWARD)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        self.robot.command(tensordict[ACTION].detach().numpy())
+        self.pace.wait()
+        self._steps += 1
+        return self._read()
+
+    def _read(self) -> TensorDict:
+        observation = self.robot.observe()
+        entries = self._checked(observation)
+        terminated, truncated = (bool(entries.pop(name, [False])[0]) for name in FLAGS)
+        truncated |= self._steps >= self.episode_steps
+        td = TensorDict({}, [])
+        for name, value in entries.items():
+            td[tuple(name.split("/"))] = value
+        flags = {"terminated": terminated, "truncated": truncated, "done": terminated or truncated}
+        return td.update({name: torch.tensor([flag]) for name, flag in flags.items()})
+
+    def _checked(self, observation: Observation) -> dict[str, Any]:
+        """Return the described entries as tensors."""
+        if observation.time <= self._measured_at:
+            raise RobotFault(
+                f"frozen: expected an observation after {self._measured_at:.3f} s of the robot's "
+                f"clock, got one of {observation.time:.3f} s"
+            )
+        self._measured_at = observation.time
+        entries = {}
+        for name, (shape, dtype) in self.description.entries.items():
+            value = observation.entries.get(name)
+            if value is None or np.shape(value) != tuple(shape):
+                got = "none" if value is None else f"the shape {np.shape(value)}"
+                raise ValueError(
+                    f"observation: expected {name!r} of the shape {tuple(shape)}, got {got}"
+                )
+            array = np.array(value, dtype=dtype)  # a copy: a driver may write into its own again
+            if array.dtype.kind == "f" and not np.isfinite(array).all():
+                raise RobotFault(f"{name}: expected finite numbers, got {array.tolist()}")
+            entries[name] = torch.from_numpy(array)
+        return entries
+
+
+def _spec(shape: tuple[int, ...], dtype: str) -> TensorSpec:
+    if dtype == "bool":
+        return Binary(n=shape[-1], shape=shape, dtype=torch.bool)
+    return Unbounded(tuple(shape), dtype=getattr(torch, dtype))

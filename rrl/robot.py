@@ -1,0 +1,94 @@
+"""What has to be known of a robot to drive it: four calls and a description."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from numpy.typing import NDArray
+
+__all__ = ["Description", "EntrySpec", "Observation", "Robot", "RobotFault"]
+
+
+class RobotFault(Exception):
+    """The robot does not do what it should: it is silent, frozen, or refuses.
+
+    Whoever drives it stops it, and tries to go on with a reset.
+    """
+
+
+class EntrySpec(NamedTuple):
+    """Shape and NumPy type (``float32``, ``bool``) of one entry of an observation."""
+
+    shape: tuple[int, ...]
+    dtype: str = "float32"
+
+
+class Observation(NamedTuple):
+    """What a robot measures at one moment.
+
+    Attributes:
+        entries: Arrays by name, as the description says.
+        time: When they were measured, by any clock of the robot's [s]. A time that does not advance
+            from one control step to the next tells of a frozen robot.
+    """
+
+    entries: Mapping[str, NDArray[Any]]
+    time: float
+
+
+@dataclass(frozen=True)
+class Description:
+    """What a robot measures and takes.
+
+    Attributes:
+        entries: Every entry of an observation. ``reward`` is one of them, one number; there may be
+            ``success``, ``terminated`` and ``truncated``, flags, and names with a slash,
+            ``metrics/NAME`` and ``reward_terms/NAME``, one number each.
+        low: Smallest command, one number for each dimension.
+        high: Largest command.
+        period: Seconds from one command to the next.
+    """
+
+    entries: Mapping[str, EntrySpec]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    period: float
+
+
+class Robot(ABC):
+    """Four calls by which anybody's robot can be driven.
+
+    No call may take longer than a fraction of the control period, but for :meth:`reset`. Each
+    raises :class:`RobotFault` if the robot does not do what it should.
+
+    Attributes:
+        description: What the robot measures and takes.
+    """
+
+    description: Description
+
+    @abstractmethod
+    def observe(self) -> Observation:
+        """Return what is measured now."""
+
+    @abstractmethod
+    def command(self, action: NDArray[Any]) -> None:
+        """Execute ``action`` [n], within the description's bounds, from now on."""
+
+    @abstractmethod
+    def reset(self, seed: int | None = None) -> None:
+        """Go to the start of an episode, and return when it is reached.
+
+        Args:
+            seed: Of what is random about the start; a robot that draws nothing ignores it.
+        """
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Stand still, at once."""
+
+    def close(self) -> None:  # noqa: B027 - most have nothing to close
+        """Give back what the driver holds."""

@@ -1,0 +1,136 @@
+"""The plant moves by itself, and tells by faults what it does not do."""
+
+import time
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+from plants import plant
+from torchrl.envs.utils import check_env_specs
+
+from rrl.envs import RobotEnv
+from rrl.envs.insertion.config import make_config
+from rrl.envs.plant import RemoteRobot, SimulatedPlant, inject
+from rrl.robot import RobotFault
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    where = f"ipc://{tmp_path_factory.mktemp('plant')}/socket"
+    with plant(where):
+        yield where
+
+
+@pytest.fixture
+def env(address):
+    env = RobotEnv(partial(RemoteRobot, address, patience=0.2), episode_steps=5)
+    yield env
+    env.close()
+
+
+def step(env, td, action=0.0):
+    td["action"] = torch.full((3,), action)
+    return env.step(td)["next"].exclude("reward")
+
+
+def test_entries_bounds_and_period_are_the_plants(env):
+    check_env_specs(env)
+    assert env.control_period == pytest.approx(0.05)
+    assert env.action_spec.shape == (3,)
+    assert {"end_effector_position", "blocks", "goal", "success"} <= set(
+        env.observation_spec.keys()
+    )
+    assert "contact_force" in set(env.observation_spec["metrics"].keys())
+
+
+def test_an_episode_lasts_its_steps_in_wall_clock_time(env):
+    start = time.monotonic()
+    td = env.reset()
+    for n in range(5):
+        td = step(env, td)
+        assert bool(td["truncated"]) == (n == 4)
+    assert time.monotonic() - start >= 5 * 0.05
+
+
+def test_it_holds_the_last_command_and_then_stops():
+    robot = SimulatedPlant(make_config("sim"), timeout=0.2)
+    robot.reset(0)
+
+    def height():
+        return float(robot.observe().entries["end_effector_position"][2])
+
+    start = height()
+    robot.command(np.array([0.0, 0.0, -0.5]))
+    time.sleep(0.15)
+    held = height()
+    assert held < start - 0.008  # more than the one command's share of a period
+    time.sleep(0.3)
+    stopped = height()
+    time.sleep(0.2)
+    assert height() == pytest.approx(stopped, abs=5e-4)
+
+
+def test_equal_seeds_give_equal_starts(env):
+    starts = []
+    for _ in range(2):
+        env.set_seed(7)
+        starts.append(env.reset()["blocks"])
+    torch.testing.assert_close(*starts, atol=1e-3, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("drop", "expected an answer to .* got none"),
+        ("freeze", "frozen: expected an observation after"),
+        ("nan", "expected finite numbers"),
+    ],
+)
+def test_a_fault_is_named(env, address, kind, message):
+    td = env.reset()
+    inject(address, kind, 0.6)
+    with pytest.raises(RobotFault, match=message):
+        for _ in range(5):
+            td = step(env, td)
+    time.sleep(0.7)
+    step(env, env.reset())
+
+
+def test_a_late_answer_is_none(env, address):
+    td = env.reset()
+    inject(address, "delay", 0.3)
+    with pytest.raises(RobotFault, match="got none"):
+        step(env, step(env, td))
+    time.sleep(0.9)
+    step(env, env.reset())
+
+
+def test_a_reset_may_be_refused(env, address):
+    inject(address, "refuse", 0.3)
+    with pytest.raises(RobotFault, match="reset refused: told to"):
+        env.reset()
+
+
+def test_a_plant_that_died_is_silent_and_a_new_one_is_found(tmp_path):
+    where = f"ipc://{tmp_path}/socket"
+    with plant(where) as process:
+        env = RobotEnv(partial(RemoteRobot, where, patience=0.2, reset_patience=1.0))
+        td = env.reset()
+        inject_death(where, process)
+        with pytest.raises(RobotFault, match="got none"):
+            step(env, td)
+    with plant(where):
+        step(env, env.reset())
+        env.close()
+
+
+def inject_death(where, process):
+    with pytest.raises(RobotFault):
+        inject(where, "die")
+    assert process.wait() == 1
+
+
+def test_what_is_no_fault_is_refused(address):
+    with pytest.raises(RobotFault, match="kind: expected one of drop, delay"):
+        inject(address, "sulk")

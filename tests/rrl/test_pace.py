@@ -1,0 +1,56 @@
+"""Periods begin on a grid that does not move, whatever happened before."""
+
+import time
+
+import pytest
+
+from rrl.pace import Pace, prioritize
+
+PERIOD = 0.02
+
+
+def periods_since(start, pace):
+    return (pace.scheduled - start) / PERIOD
+
+
+def test_deadlines_do_not_drift():
+    pace = Pace(PERIOD)
+    pace.start()
+    start = pace.scheduled
+    for n in range(1, 6):
+        time.sleep(0.003)
+        pace.wait()
+        assert periods_since(start, pace) == pytest.approx(n + pace.skipped)
+        assert pace.began >= pace.scheduled
+
+
+def test_a_loop_that_was_late_goes_on_without_a_burst():
+    pace = Pace(PERIOD)
+    pace.start()
+    start = pace.scheduled
+    time.sleep(3.5 * PERIOD)
+    pace.wait()
+    assert pace.skipped >= 2
+    assert periods_since(start, pace) == pytest.approx(1 + pace.skipped)
+    assert pace.error >= 2 * PERIOD
+    began = pace.began
+    pace.wait()
+    assert pace.began > began
+    assert pace.began >= pace.scheduled
+
+
+def test_what_is_done_meanwhile_is_done_once_a_period():
+    pace, calls = Pace(PERIOD), []
+    pace.meanwhile = lambda: calls.append(time.monotonic())
+    pace.wait()
+    pace.wait()
+    assert len(calls) == 2
+
+
+def test_a_period_is_positive():
+    with pytest.raises(ValueError, match="period: expected a positive number of seconds, got 0"):
+        Pace(0)
+
+
+def test_no_priority_changes_nothing():
+    prioritize(0)

@@ -1,0 +1,233 @@
+"""Collection in wall-clock time: real processes, real deaths, every transition once."""
+
+import logging
+import os
+import signal
+import time
+from dataclasses import replace
+from multiprocessing import get_context
+
+import pytest
+import torch
+
+from rrl.trainers.settings import CheckpointSettings, EvaluationSettings, RealTimeSettings
+from rrl.trainers.storage.transition_log import TransitionLog
+from rrl.trainers.training.realtime.hand_over import HandOver
+from runs import run
+from toy_envs import EPISODE_STEPS, PointMass
+
+PERIOD = 0.01
+SAID = 0.25  # what Hesitant says
+
+
+class Paced(PointMass):
+    """A point that says how long its steps last."""
+
+    control_period = PERIOD
+
+    def __init__(self, num_envs=1, **arguments):
+        super().__init__([num_envs], **arguments)
+
+
+class Broken(Paced):
+    """Fails in an episode's third step."""
+
+    def _step(self, tensordict):
+        self.calls = getattr(self, "calls", 0) + 1
+        if self.calls == 30:
+            raise ValueError("the gripper is open")
+        return super()._step(tensordict)
+
+
+class Hesitant(torch.nn.Module):
+    """Exploration that takes longer than a period, every fifth time."""
+
+    in_keys, out_keys = ["action"], ["action"]
+
+    def __init__(self, spec):
+        super().__init__()
+        self.calls = 0
+
+    def forward(self, tensordict):
+        self.calls += 1
+        if self.calls % 5 == 0:
+            time.sleep(3.5 * PERIOD)
+        return tensordict.set("action", torch.full_like(tensordict["action"], SAID))
+
+
+@pytest.fixture
+def make(make_trainer, factory):
+    """Builds a trainer of 100 Hz; 20 steps a round."""
+
+    def make(run_dir="run", base=Paced, realtime=None, **changes):
+        values = {
+            "environment": replace(factory, base=base),
+            "collection": "realtime",
+            "realtime": RealTimeSettings(**{"priority": 0, "budget": 1.0, **(realtime or {})}),
+            "total_steps": 120,
+            "warmup_steps": 40,
+            "controller_steps": 0,
+            "n_step": 1,
+            "evaluation": EvaluationSettings(every=0, final_episodes=2),
+            "checkpoint": CheckpointSettings(every=40),
+        }
+        return make_trainer(run_dir, **{**values, **changes})
+
+    return make
+
+
+def acted(run_dir):
+    """What the acting process has stored so far."""
+    log = TransitionLog(run_dir / "realtime" / "transitions")
+    data, damaged = log.read(0, log.count)
+    assert not damaged
+    return data
+
+
+def assert_each_once(trainer):
+    """The learner has stored what was acted, in order."""
+    data = acted(trainer.run_dir)
+    stored, _ = trainer.store.log.read(0, trainer.store.log.count)
+    assert len(stored) == len(data) == trainer.settings.total_steps
+    single = ("next", "end_effector_position") if trainer.settings.n_step == 1 else "goal"
+    for key in ("end_effector_position", "action", single):
+        assert torch.equal(stored[key], data[key]), key
+
+
+def test_a_run_takes_every_transition_once_and_measures_its_timing(make):
+    trainer = run(make())
+    assert_each_once(trainer)
+    timing = acted(trainer.run_dir)["timing"]
+    assert timing["first"].flatten().nonzero().flatten().tolist() == list(range(0, 120, 20))
+    assert timing["weights"].max() > 0
+    times, first = timing["time"].flatten(), timing["first"].flatten()
+    assert (times.diff()[~first[1:]]).mean() >= 0.9 * PERIOD
+    assert "realtime/period_error_ms_p99" in (trainer.run_dir / "metrics.csv").read_text()
+    assert not HandOver(trainer.run_dir / "realtime").is_alive()
+
+
+def learn(make, until=None, **changes):
+    """Begin or resume a run; the learner kills itself after so many steps."""
+    with make(**changes) as trainer:
+        if trainer.checkpoints.exist():
+            trainer.resume()
+        one_round = trainer._round
+
+        def dying():
+            one_round()
+            if until is not None and trainer.env_steps >= until:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+        trainer._round = dying
+        trainer.run()
+        return trainer
+
+
+def learn_and_be_killed(make, until, **changes):
+    child = get_context("fork").Process(target=learn, args=(make, until), kwargs=changes)
+    child.start()
+    child.join()
+    assert child.exitcode == -signal.SIGKILL
+
+
+@pytest.mark.parametrize("n_step", [1, 3])
+def test_killed_learners_lose_nothing_and_the_environment_goes_on(make, tmp_path, n_step):
+    changes = {"total_steps": 400, "n_step": n_step}
+    run_dir = tmp_path / "run"
+    for until in (60, 100, 180):
+        learn_and_be_killed(make, until, **changes)
+        before = len(acted(run_dir))
+        assert HandOver(run_dir / "realtime").is_alive() or before == 400
+        time.sleep(0.2)
+        assert len(acted(run_dir)) > before or before == 400
+    trainer = learn(make, **changes)
+    assert trainer.env_steps == 400
+    assert_each_once(trainer)
+    times = acted(run_dir)["timing", "time"].flatten()
+    assert times.diff().min() > 0
+
+
+def test_an_acting_process_that_died_is_named_and_another_takes_over(make):
+    trainer = make()
+    one_round = trainer._round
+
+    def kill_at_60():
+        if trainer.env_steps == 60:
+            pid = int((trainer.run_dir / "realtime" / "pid").read_text())
+            os.kill(pid, signal.SIGKILL)
+        one_round()
+
+    trainer._round = kill_at_60
+    with trainer, pytest.raises(RuntimeError, match="the acting process died"):
+        trainer.run()
+    second = make()
+    second.resume()
+    assert_each_once(run(second))
+
+
+def test_what_the_environment_raises_is_raised_by_the_run(make):
+    with make(base=Broken) as trainer, pytest.raises(ValueError, match="the gripper is open"):
+        trainer.run()
+    assert len(acted(trainer.run_dir)) == 29
+
+
+@pytest.mark.parametrize("late", ["controller", "hold", "stop"])
+def test_a_late_step_does_as_it_is_told(make, caplog, late):
+    caplog.set_level(logging.INFO)
+    trainer = run(make(exploration=Hesitant, realtime={"late": late, "budget": 0.9}))
+    data = acted(trainer.run_dir)
+    timing, actions = data["timing"], data["action"]
+    missed = timing["missed"].flatten() > 0
+    assert missed.any()
+    assert "a policy's answer was late" in caplog.text
+    in_time = actions[~missed]
+    assert torch.equal(in_time, torch.full_like(in_time, SAID))
+    if late == "controller":
+        assert torch.equal(actions[missed], torch.zeros_like(actions[missed]))
+    elif late == "hold":
+        command = data["base_action"] + 0.5 * actions
+        held = missed & ~timing["first"].flatten()
+        wanted = ((command.roll(1, 0) - data["base_action"]) / 0.5).clamp(-1, 1)
+        torch.testing.assert_close(actions[held], wanted[held])
+    else:
+        assert (timing["first"].flatten() & missed).any()
+        assert len(timing["first"].flatten().nonzero()) > 120 / EPISODE_STEPS
+
+
+@pytest.mark.parametrize("weights", ["episode", 5])
+def test_weights_change_where_they_may(make, weights):
+    data = acted(run(make(realtime={"weights": weights}, total_steps=200)).run_dir)
+    timing = data["timing"]
+    changes = timing["weights"].flatten().diff().nonzero().flatten() + 1
+    assert len(changes) >= 2
+    if weights == "episode":
+        assert timing["first"].flatten()[changes].all()
+    else:
+        assert (changes % 5 == 0).all()
+
+
+def test_an_evaluation_has_the_environment_to_itself(make):
+    evaluation = EvaluationSettings(every=40, episodes=2, final_episodes=2)
+    trainer = make(evaluation=evaluation)
+    compare, seen = trainer.evaluator.compare, []
+
+    def watched(*arguments):
+        before = len(acted(trainer.run_dir)) if trainer.env_steps else 0
+        result = compare(*arguments)
+        seen.append((len(acted(trainer.run_dir)) if trainer.env_steps else 0) - before)
+        return result
+
+    trainer.evaluator.compare = watched
+    assert_each_once(run(trainer))
+    assert len(seen) >= 4
+    assert set(seen) == {0}
+
+
+def test_the_period_has_to_be_known(make):
+    with pytest.raises(ValueError, match=r"trainer.realtime.period: expected a number of seconds"):
+        make(base=lambda num_envs=1: PointMass([num_envs]))
+
+
+def test_one_environment_is_stepped(settings):
+    with pytest.raises(ValueError, match="collection: realtime steps one environment"):
+        settings(num_envs=2, collection="realtime")

@@ -1,0 +1,1 @@
+"""Collection in wall-clock time, by a process that outlives the learner."""

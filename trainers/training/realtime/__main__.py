@@ -1,0 +1,124 @@
+"""The acting process, which the learner starts: ``python -m rrl.trainers.training.realtime``."""
+
+from __future__ import annotations
+
+import gc
+import logging
+import os
+import signal
+import sys
+import time
+import warnings
+from pathlib import Path
+
+from torchrl.envs import EnvBase
+
+from rrl.pace import Pace, prioritize
+from rrl.robot import RobotFault
+
+from ...environment import EnvironmentFactory, ResumableEnv
+from ...settings import TrainerSettings
+from ...storage.files import lock
+from ..background_collection import portable
+from ..collection_metrics import Authority
+from ..interface import prepare
+from ..torch_setup import configure_torch
+from .acting import Acting
+from .hand_over import HandOver
+
+log = logging.getLogger(__name__)
+
+
+class _Process:
+    """Builds what acts, and lets it act until the end."""
+
+    def __init__(self, hand_over: HandOver) -> None:
+        self.hand_over, self.told_to_stop = hand_over, False
+        self.learner = os.getppid()
+        for number in (signal.SIGINT, signal.SIGHUP):
+            signal.signal(number, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, self._stop)
+
+    def run(self) -> None:
+        settings, environment, exploration = self.hand_over.read("recipe")
+        configure_torch(settings, collects_only=True)
+        env, interface, explore = prepare(settings, environment, exploration)
+        try:
+            pace = _pace(settings, environment, env)
+            self.hand_over.write("interface", (interface, Authority.of(env), pace.period))
+            if not self._wait_for_weights():
+                return
+            policy = self.hand_over.read("policy")
+            acting = Acting(
+                settings, env, policy, explore, pace, self.hand_over, lambda: self.told_to_stop
+            )
+            prioritize(settings.realtime.priority)
+            gc.collect()
+            gc.freeze()
+            try:
+                acting.run()
+            finally:
+                acting.stop()
+                acting.thread.close()
+        finally:
+            _close(env)
+
+    def _wait_for_weights(self) -> bool:
+        """Return False if there is nobody any more who would send some."""
+        while not (self.hand_over.folder / "weights.bin").is_file():
+            if self.told_to_stop or os.getppid() != self.learner:
+                return False
+            time.sleep(0.01)
+        return True
+
+    def _stop(self, *_: object) -> None:
+        self.told_to_stop = True
+
+
+def _pace(settings: TrainerSettings, environment: EnvironmentFactory, env: ResumableEnv) -> Pace:
+    """Return the environment's own pace, or one to keep for it."""
+    wanted = settings.realtime.period
+    own: Pace | None = getattr(env.base_env, "pace", None)
+    known = environment.control_period or getattr(env.base_env, "control_period", None)
+    if own is None:
+        if (period := wanted or known) is None:
+            raise ValueError(
+                "trainer.realtime.period: expected a number of seconds, because the environment "
+                "does not say its control period, got null"
+            )
+        return Pace(period)
+    if wanted is not None and wanted != own.period:
+        raise ValueError(
+            f"trainer.realtime.period: expected null or {own.period:g}, the robot's own, "
+            f"got {wanted:g}"
+        )
+    return own
+
+
+def _close(env: EnvBase) -> None:
+    try:
+        env.close()
+    except RobotFault as fault:
+        log.warning("closing: %s", fault)
+
+
+def main(folder: str) -> int:
+    """Act; return the exit status."""
+    logging.basicConfig(format="%(message)s", level=logging.INFO)
+    warnings.simplefilter("ignore")  # the run itself has said them
+    hand_over = HandOver(Path(folder))
+    claimed = lock(hand_over.folder)
+    (hand_over.folder / "pid").write_text(str(os.getpid()))
+    try:
+        _Process(hand_over).run()
+    except Exception as error:
+        hand_over.write("failure", portable(error))
+        log.exception("the acting process ends")
+        return 1
+    finally:
+        os.close(claimed)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]))

@@ -1,0 +1,235 @@
+"""The loop that does not wait: one environment, stepped at its control period."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from torch import Tensor
+from torchrl.envs.utils import step_mdp
+
+from rrl.keys import ACTION, BASE_ACTION
+from rrl.pace import Pace
+from rrl.robot import RobotFault
+from rrl.slot_random import seed_env
+
+from ...environment import ResumableEnv
+from ...settings import TrainerSettings
+from ...storage.transition_log import FOLDER, TransitionLog
+from ..collection_metrics import Authority
+from ..policy_vector import assign
+from .hand_over import HandOver, Weights
+from .policy_thread import PolicyThread
+from .records import Timing, make_record
+
+__all__ = ["Acting"]
+
+log = logging.getLogger(__name__)
+
+LATE = {
+    "controller": "the controller acts alone in such a step",
+    "hold": "such a step holds the last command, as near as the residual's authority allows",
+    "stop": "the robot is stopped, and a new episode begins",
+}
+
+
+class _Stopped(Exception):
+    """The episode was cut short on purpose."""
+
+
+class Acting:
+    """Acts and stores every transition until there are enough, or it is told to stop.
+
+    A step begins at its deadline with the newest observation. The policy has a share of the period
+    to answer; what happens to a step without an answer is a setting. A fault of the robot stops it
+    and cuts the episode short; resets are tried until it is back.
+
+    Args:
+        settings: Of the run.
+        env: What is driven.
+        policy: From its inputs to ``action``.
+        exploration: Adds noise; None: the policy explores by itself.
+        pace: Of the environment, or one to keep for it.
+        hand_over: Takes transitions and gives weights.
+        told_to_stop: Asked in every step.
+    """
+
+    def __init__(
+        self,
+        settings: TrainerSettings,
+        env: ResumableEnv,
+        policy: TensorDictModuleBase,
+        exploration: TensorDictModuleBase | None,
+        pace: Pace,
+        hand_over: HandOver,
+        told_to_stop: Callable[[], bool],
+    ) -> None:
+        self.settings, self.env, self.policy = settings, env, policy
+        self.exploration, self.pace, self.hand_over = exploration, pace, hand_over
+        self.told_to_stop = told_to_stop
+        modules = [policy] if exploration is None else [policy, exploration]
+        self.thread = PolicyThread(TensorDictSequential(*modules), settings.flush_denormals)
+        self.log = TransitionLog(Path(hand_over.folder) / FOLDER)
+        self.authority = Authority.of(env)
+        self._keeps_pace = pace is not getattr(env.base_env, "pace", None)
+        self._keys = _stored(env)
+        self._unwritten: list[TensorDictBase] = []
+        self._count = self._annealed = self.log.count
+        self._anneal(self._count)
+        self._weights = Weights(-1, -1, torch.empty(0))
+        self._last_command: Tensor | None = None
+        self._missed = self._faults = 0  # since the last record
+        self._has_been_late = False
+        pace.meanwhile = self._while_there_is_time
+
+    @property
+    def is_done(self) -> bool:
+        """Whether every transition of the run is stored."""
+        return self._count >= self.settings.total_steps
+
+    def run(self) -> None:
+        """Play episodes."""
+        self._take_weights()
+        back = True  # whether the robot did what it should the last time
+        while not (self.is_done or self.told_to_stop()):
+            if self.hand_over.is_wanted():
+                time.sleep(0.01)
+                continue
+            with self.hand_over.driving():
+                back = self._try_episode(back)
+            self._write()
+            self.log.sync()
+            self._take_weights()
+            if not back:
+                self._sleep(self.settings.realtime.retry)
+
+    def stop(self) -> None:
+        """Have the robot stand still, if the environment is one that can."""
+        stop = getattr(self.env.base_env, "stop", None)
+        if stop is not None:
+            try:
+                stop()
+            except RobotFault as fault:  # it stops by itself: nobody commands it any more
+                log.debug("stop: %s", fault)
+
+    def _try_episode(self, was_fine: bool) -> bool:
+        """Play an episode; return whether the robot did what it should."""
+        began = time.monotonic()
+        try:
+            td = self.env.reset()
+            if not was_fine:
+                log.warning("the robot is back; going on with a new episode")
+            was_fine = True
+            if self._keeps_pace:
+                self.pace.start()
+            self._episode(td, time.monotonic() - began)
+        except RobotFault as fault:
+            self._faults += 1
+            self.stop()
+            if was_fine:
+                log.warning("the robot is stopped: %s; trying to reset it until it is back", fault)
+            return False
+        except _Stopped:
+            self.stop()
+        if self.is_done or self.told_to_stop() or self.hand_over.is_wanted():
+            self.stop()
+        return True
+
+    def _episode(self, td: TensorDictBase, reset_seconds: float) -> None:
+        first, self._last_command = True, None
+        while not (self.is_done or self.told_to_stop()):
+            explores = self._count >= (self.settings.controller_steps or 0)
+            until = self.pace.scheduled + self.settings.realtime.budget * self.pace.period
+            answer = self.thread.ask(td, explores, until)
+            timing = Timing(first=first, reset_seconds=reset_seconds)
+            td = self._late(td) if answer is None else answer
+            td.set(ACTION, td[ACTION].float())
+            self._last_command = td[BASE_ACTION] + self.authority.span * td[ACTION]
+            td = self.env.step(td)
+            if self._keeps_pace:
+                self.pace.wait()
+            self._keep(td, timing)
+            if bool(td["next", "done"].any()):
+                return
+            td, first, reset_seconds = step_mdp(td), False, 0.0
+        raise _Stopped
+
+    def _late(self, td: TensorDictBase) -> TensorDictBase:
+        """Return ``td`` with the action of a step that the policy has no answer for in time."""
+        rule, (_, _, span) = self.settings.realtime.late, self.authority
+        self._missed += 1
+        if not self._has_been_late:
+            log.warning("a policy's answer was late: %s; from now on it is counted", LATE[rule])
+        self._has_been_late = True
+        if rule == "stop":
+            raise _Stopped
+        action = torch.zeros_like(td[BASE_ACTION])
+        if rule == "hold" and self._last_command is not None:
+            wanted = (self._last_command - td[BASE_ACTION]) / span
+            action = torch.where(span > 0, wanted, 0.0).clamp(-1.0, 1.0)
+        return td.set(ACTION, action)
+
+    def _keep(self, td: TensorDictBase, timing: Timing) -> None:
+        timing = timing._replace(
+            period_error=self.pace.error,
+            inference=self.thread.seconds,
+            weights=self._weights.env_steps,
+            missed=self._missed,
+            faults=self._faults,
+            time=time.time(),
+        )
+        self._missed = self._faults = 0
+        self._unwritten.append(make_record(td.select(*self._keys), timing))
+        self._count += 1
+
+    def _while_there_is_time(self) -> None:
+        self._write()
+        every = self.settings.realtime.weights
+        if every != "episode" and self._count % int(every) == 0 and self.thread.idle:
+            self._take_weights()
+
+    def _write(self) -> None:
+        while self._unwritten:
+            self.log.append(self._unwritten[0])
+            del self._unwritten[0]
+        self._anneal(self._count)
+
+    def _take_weights(self) -> None:
+        """Act with the newest weights from now on, all of them."""
+        weights = self.hand_over.new_weights()
+        if weights is None:
+            return
+        if not self.thread.idle:
+            raise AssertionError("weights are exchanged between two inferences")
+        assign(self.policy, weights.vector)
+        if weights.seed != self._weights.seed:
+            seed_env(self.env.base_env, weights.seed)
+        self._weights = weights
+
+    def _anneal(self, env_steps: int) -> None:
+        anneal = getattr(self.exploration, "step", None)
+        if anneal is not None:
+            anneal(env_steps - self._annealed)
+        self._annealed = env_steps
+
+    def _sleep(self, seconds: float) -> None:
+        ends = time.monotonic() + seconds
+        while time.monotonic() < ends and not self.told_to_stop():
+            time.sleep(0.02)
+
+
+def _stored(env: ResumableEnv) -> list[NestedKey]:
+    """Return all that the environment writes, and the action."""
+    observation = list(env.observation_spec.keys(True, True))
+    following = [
+        *observation,
+        *env.full_reward_spec.keys(True, True),
+        *env.full_done_spec.keys(True, True),
+    ]
+    nested = [("next", *((key,) if isinstance(key, str) else key)) for key in following]
+    return [*observation, ACTION, *nested]

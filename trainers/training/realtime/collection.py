@@ -1,0 +1,202 @@
+"""The learner's side of collection in wall-clock time."""
+
+from __future__ import annotations
+
+import copy
+import logging
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from typing import Any
+
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+
+from ...environment import EnvironmentFactory
+from ...seeds import Stream, first_seed
+from ...settings import TrainerSettings
+from ...storage.replay_store import as_stored
+from ...storage.transition_log import FOLDER as TRANSITIONS
+from ...storage.transition_log import TransitionLog
+from ..collection import Collection, Metrics
+from ..collection_metrics import EpisodeReturns, collection_metrics
+from ..interface import Exploration
+from ..policy_vector import flatten
+from .hand_over import FOLDER, HandOver, Weights
+from .records import TIMING, cut_episodes, timing_metrics
+
+__all__ = ["RealTime"]
+
+CLOSE_SECONDS = 10.0
+"""How long the process gets to stop the robot before it is ended."""
+POLL = 0.01
+"""Seconds between two looks for what was collected."""
+
+log = logging.getLogger(__name__)
+
+
+class RealTime(Collection):
+    """Takes what an acting process collects, which steps the environment whatever the learner does.
+
+    The process is one of its own. It outlives a learner that is killed, goes on with the last
+    policy, and is found again by the next learner of the run. Transition ``n`` of the run is record
+    ``n`` of its log, so none can be lost or taken twice.
+
+    Args:
+        settings: Of the run.
+        environment: Builds the environment; ``cloudpickle`` must be able to send it.
+        exploration: Makes the exploration module; the same holds for it.
+        run_dir: Where the run writes.
+
+    Raises:
+        RuntimeError: If the process dies. What the environment raises is raised here.
+    """
+
+    def __init__(
+        self,
+        settings: TrainerSettings,
+        environment: EnvironmentFactory,
+        exploration: Exploration,
+        run_dir: Any,
+    ) -> None:
+        self.settings = settings
+        self._hand_over = HandOver(run_dir / FOLDER)
+        self._hand_over.folder.mkdir(parents=True, exist_ok=True)
+        self._recipe = settings, environment, exploration
+        self._process: subprocess.Popen[bytes] | None = None
+        self._owns = False
+        self._seed = first_seed(Stream.TRAINING, settings.seed)
+        self._returns = EpisodeReturns(1)
+        self._log = TransitionLog(self._hand_over.folder / TRANSITIONS)
+        self._found = self._hand_over.is_alive()
+        if not self._found:
+            self._start()
+        self.interface, self._authority, self.period = self._wait_for("interface")
+        self._relayed = self._end_of_messages()
+
+    def set_policy(self, policy: TensorDictModuleBase) -> None:
+        """Have the process act with ``policy``, from the first collection on."""
+        self._policy = policy
+        if not self._found:
+            self._hand_over.write("policy", copy.deepcopy(policy).cpu())
+
+    def collect(self, env_steps: int) -> tuple[TensorDictBase, Metrics]:
+        """Give the process the newest weights, and wait for the round to be there."""
+        self._owns = True
+        self._hand_over.publish(Weights(env_steps, self._seed, flatten(self._policy)))
+        end = env_steps + self.settings.steps_per_round
+        while self._log.refresh() < end:
+            self._relay()
+            self._require_process()
+            time.sleep(POLL)
+        self._relay()
+        data, damaged = self._log.read(env_steps, end)
+        if damaged:
+            raise ValueError(
+                f"{self._log.folder}: expected whole records, got damaged ones: {damaged[:5]}"
+            )
+        cut_episodes(data)
+        if bool(data[TIMING, "first"][0]):
+            self._returns.reset()
+        rollout = data.unsqueeze(0)
+        values = collection_metrics(rollout, self._authority) | self._returns.metrics(rollout)
+        values |= timing_metrics(data, env_steps)
+        return as_stored(rollout, self.interface.kept), values
+
+    @property
+    def can_continue(self) -> bool:
+        """Return False: a robot is not put back to where it was."""
+        return False
+
+    def start_episode(self, seed: int) -> None:
+        """Let a process that was started anew draw from ``seed``; one that was found goes on."""
+        if not self._found:
+            self._seed = seed
+
+    def paused(self) -> AbstractContextManager[None]:
+        """Leave the robot to somebody else, once the episode under way has ended."""
+        return self._hand_over.having_robot()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the running returns; all else is in the process and its log."""
+        return {"returns": self._returns.running}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Restore :meth:`state_dict`."""
+        self._returns.running = state["returns"]
+
+    def close(self) -> None:
+        """Have the process stop the robot and end, unless it is another learner's."""
+        if not (self._owns or self._process):
+            return
+        if self._hand_over.is_alive():
+            pid = int((self._hand_over.folder / "pid").read_text())
+            os.kill(pid, signal.SIGTERM)
+            ends = time.monotonic() + CLOSE_SECONDS
+            while self._hand_over.is_alive() and time.monotonic() < ends:
+                time.sleep(POLL)
+            if self._hand_over.is_alive():
+                os.kill(pid, signal.SIGKILL)
+        if self._process is not None:
+            self._process.wait()
+
+    def _start(self) -> None:
+        self._hand_over.clear()
+        self._hand_over.write("recipe", self._recipe)
+        paths = os.pathsep.join(filter(None, sys.path))
+        with (self._hand_over.folder / "log.txt").open("ab") as messages:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", __package__, str(self._hand_over.folder)],
+                stdin=subprocess.DEVNULL,
+                stdout=messages,
+                stderr=messages,
+                start_new_session=True,  # a Ctrl-C in the terminal is for the learner
+                env={**os.environ, "PYTHONPATH": paths},
+            )
+        log.info(
+            "process %d drives the environment, and goes on if this one is killed; "
+            "kill %d stops it",
+            self._process.pid,
+            self._process.pid,
+        )
+
+    def _wait_for(self, name: str) -> Any:
+        while (content := self._hand_over.read(name)) is None:
+            self._require_process()
+            time.sleep(POLL)
+        return content
+
+    def _require_process(self) -> None:
+        """Raise what ended the process, if it has ended."""
+        if self._process is not None:
+            ended = self._process.poll() is not None
+        else:
+            ended = not self._hand_over.is_alive()
+        if not ended:
+            return
+        if (failure := self._hand_over.read("failure")) is not None:
+            error, text = pickle.loads(failure)
+            raise error from RuntimeError(f"in the acting process:\n{text}")
+        raise RuntimeError(
+            "the acting process died; every transition is on disk, "
+            f"and its last words are in {self._hand_over.folder / 'log.txt'}"
+        )
+
+    def _end_of_messages(self) -> int:
+        path = self._hand_over.folder / "log.txt"
+        return path.stat().st_size if path.is_file() else 0
+
+    def _relay(self) -> None:
+        """Say what the process has said since the last time."""
+        with (self._hand_over.folder / "log.txt").open("rb") as file:
+            file.seek(self._relayed)
+            text = file.read()
+        whole = text[: text.rfind(b"\n") + 1]
+        self._relayed += len(whole)
+        for line in whole.decode(errors="replace").splitlines():
+            log.warning("%s", line)

@@ -1,0 +1,141 @@
+"""What learner and acting process give each other: files below the run's directory.
+
+Layout::
+
+    realtime/
+        recipe.pkl       settings, environment, exploration; written by whoever starts the process
+        interface.pkl    what the learner must know of the environment
+        policy.pkl       the policy's structure
+        weights.bin      its numbers, replaced as a whole
+        failure.pkl      what ended the process, if it was an error
+        log.txt          what the process says
+        pid              of the process
+        transitions/     every transition, in files that only grow
+        wish, robot      locked by whoever wants the robot, and whoever has it
+
+Either side may die at any moment: a reader finds all of an old file or all of a new one, and locks
+end with their process.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cloudpickle
+import torch
+from torch import Tensor
+
+from ...storage.files import lock
+
+__all__ = ["FOLDER", "HandOver", "Weights"]
+
+FOLDER = "realtime"
+
+
+class Weights(NamedTuple):
+    """A policy's numbers.
+
+    Attributes:
+        env_steps: Environment steps that it has learned from.
+        seed: Of the training episodes.
+        vector: See :mod:`..policy_vector`.
+    """
+
+    env_steps: int
+    seed: int
+    vector: Tensor
+
+
+class HandOver:
+    """The files.
+
+    Args:
+        folder: Where they lie.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._read: tuple[int, int] | None = None
+
+    def write(self, name: str, content: Any) -> None:
+        """Replace ``name.pkl``."""
+        self._replace(f"{name}.pkl", cloudpickle.dumps(content))
+
+    def read(self, name: str) -> Any:
+        """Return the content of ``name.pkl``; None if there is none."""
+        path = self.folder / f"{name}.pkl"
+        return cloudpickle.loads(path.read_bytes()) if path.is_file() else None
+
+    def clear(self) -> None:
+        """Remove what an earlier process left, but for its transitions."""
+        for name in ("interface.pkl", "policy.pkl", "weights.bin", "failure.pkl", "pid"):
+            (self.folder / name).unlink(missing_ok=True)
+
+    def publish(self, weights: Weights) -> None:
+        """Replace the weights."""
+        header = torch.tensor([weights.env_steps, weights.seed])
+        self._replace(
+            "weights.bin", header.numpy().tobytes() + weights.vector.contiguous().numpy().tobytes()
+        )
+
+    def new_weights(self) -> Weights | None:
+        """Return the weights if they were replaced since the last call."""
+        try:
+            with (self.folder / "weights.bin").open("rb") as file:
+                status = os.fstat(file.fileno())
+                which = status.st_ino, status.st_mtime_ns
+                if which == self._read:
+                    return None
+                content = bytearray(file.read())
+        except FileNotFoundError:
+            return None
+        self._read = which
+        header = torch.frombuffer(content, dtype=torch.int64, count=2)
+        vector = torch.frombuffer(content, dtype=torch.float32, offset=16)
+        return Weights(int(header[0]), int(header[1]), vector)
+
+    def is_alive(self) -> bool:
+        """Return whether a process acts, or is about to."""
+        try:
+            os.close(lock(self.folder))
+        except BlockingIOError:
+            return True
+        return False
+
+    @contextmanager
+    def having_robot(self) -> Iterator[None]:
+        """Have the robot to oneself while the body runs: the process ends its episode first."""
+        with _locked(self.folder / "wish"), _locked(self.folder / "robot"):
+            yield
+
+    def is_wanted(self) -> bool:
+        """Return whether somebody waits for the robot."""
+        with (self.folder / "wish").open("ab") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return True
+        return False
+
+    @contextmanager
+    def driving(self) -> Iterator[None]:
+        """Hold the robot while the body runs, as the acting process does for an episode."""
+        with _locked(self.folder / "robot"):
+            yield
+
+    def _replace(self, name: str, content: bytes) -> None:
+        partial = self.folder / f".{name}.partial"
+        partial.write_bytes(content)
+        partial.replace(self.folder / name)
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    with path.open("ab") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield

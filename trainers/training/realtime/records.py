@@ -1,0 +1,94 @@
+"""What the acting process stores of a step, and what the learner makes of it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from ...loggers import metrics
+
+__all__ = ["TIMING", "Timing", "cut_episodes", "make_record", "timing_metrics"]
+
+TIMING = "timing"
+"""The entry of a record that says how the step was done."""
+
+
+class Timing(NamedTuple):
+    """How a step was done.
+
+    Attributes:
+        first: Whether it is the first one of an episode.
+        missed: Steps for which the policy gave no answer in time, since the last record.
+        period_error: By how much the control period was too long [s].
+        inference: How long the policy took, or was waited for [s].
+        weights: Environment steps that the acting policy has learned from.
+        faults: Faults of the robot since the last record.
+        reset_seconds: How long the reset before it took; 0 within an episode [s].
+        time: When the step ended, by the wall clock [s].
+    """
+
+    first: bool
+    reset_seconds: float
+    period_error: float = 0.0
+    inference: float = 0.0
+    weights: int = 0
+    missed: int = 0
+    faults: int = 0
+    time: float = 0.0
+
+
+def make_record(td: TensorDictBase, timing: Timing) -> TensorDict:
+    """Return a transition ``[1]`` with its timing."""
+    step = td if td.ndim else td.unsqueeze(0)
+    record = TensorDict(dict(step.items(True, True)), [1])
+    for name, value in timing._asdict().items():
+        kind = np.asarray(value).dtype
+        record[TIMING, name] = torch.from_numpy(np.full((1, 1), value, kind))
+    return record
+
+
+def cut_episodes(data: TensorDictBase) -> None:
+    """Mark as truncated what was followed by a new episode without being an episode's end.
+
+    Args:
+        data: ``[T]`` in the order of time; changed in place.
+    """
+    cut = data[TIMING, "first"].roll(-1, 0)
+    cut[-1] = False  # what follows is not known, and does not matter: nothing sums beyond it
+    following = data["next"]
+    cut = cut & ~following["done"].reshape(len(data), -1).any(-1, keepdim=True)
+    for key in ("done", "truncated"):
+        if key in following:
+            flag = following[key]
+            following[key] = flag | cut.reshape(len(data), *[1] * (flag.ndim - 1))
+
+
+def timing_metrics(data: TensorDictBase, first_step: int) -> dict[str, float]:
+    """Return what a round's timing comes to.
+
+    Args:
+        data: Records ``[T]``.
+        first_step: Environment steps before them.
+    """
+    timing = data[TIMING]
+    error = 1e3 * timing["period_error"].flatten().abs()
+    inference = 1e3 * timing["inference"].flatten()
+    age = torch.arange(first_step, first_step + len(data)) - timing["weights"].flatten()
+    values = {
+        **_percentiles("period_error_ms", error),
+        **_percentiles("inference_ms", inference),
+        "missed_deadlines": float(timing["missed"].sum()),
+        "faults": float(timing["faults"].sum()),
+        "policy_age": float(age.double().mean()),
+        "reset_seconds": float(timing["reset_seconds"].sum()),
+    }
+    return {metrics.name(metrics.REALTIME, key): value for key, value in values.items()}
+
+
+def _percentiles(name: str, values: Tensor) -> dict[str, float]:
+    median, high = torch.quantile(values, torch.tensor([0.5, 0.99], dtype=values.dtype)).tolist()
+    return {f"{name}_p50": median, f"{name}_p99": high, f"{name}_max": float(values.max())}
