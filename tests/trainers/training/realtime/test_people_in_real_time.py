@@ -11,6 +11,7 @@ from rrl.controllers import ProportionalController
 from rrl.interventions import ScriptedOperator
 from rrl.trainers.loggers import read_metrics
 from rrl.trainers.settings import AcceptanceSettings, EvaluationSettings, RealTimeSettings
+from rrl.trainers.training.interruption import Interrupted
 from rrl.trainers.training.realtime.hand_over import FOLDER, HandOver
 from rrl.transforms import Intervention
 from toy_envs import PointMass
@@ -64,7 +65,12 @@ def test_what_an_operator_did_is_stored_and_drawn(make):
 
 def test_a_person_judges_pauses_and_stops(make):
     trainer = make(total_steps=100_000)
-    thread = threading.Thread(target=trainer.run, daemon=True)
+
+    def play():
+        with pytest.raises(Interrupted):
+            trainer.run()
+
+    thread = threading.Thread(target=play, daemon=True)
     thread.start()
 
     def steps():
