@@ -40,12 +40,12 @@ def at_step(trainer, number, action):
     object.__setattr__(env, "step", step)
 
 
-@pytest.mark.parametrize("overlap", [False, True])
-def test_a_pause_holds_the_environment_and_changes_nothing(make, overlap):
-    plain = make("plain", overlap=overlap)
+@pytest.mark.parametrize("collection", ["turn", "overlap"])
+def test_a_pause_holds_the_environment_and_changes_nothing(make, collection):
+    plain = make("plain", collection=collection)
     plain.run()
     plain.close()
-    trainer = make("paused", overlap=overlap)
+    trainer = make("paused", collection=collection)
     trainer.person.pause()
     threading.Timer(1.5, trainer.person.go_on).start()
     start = time.monotonic()
@@ -57,15 +57,15 @@ def test_a_pause_holds_the_environment_and_changes_nothing(make, overlap):
     assert trainer.clock.seconds["robot"] < seconds - 1.0  # it did not move meanwhile
 
 
-@pytest.mark.parametrize("overlap", [False, True])
-def test_a_run_that_is_paused_stops_when_asked(make, overlap):
-    trainer = make(overlap=overlap, total_steps=10_000)
+@pytest.mark.parametrize("collection", ["turn", "overlap"])
+def test_a_run_that_is_paused_stops_when_asked(make, collection):
+    trainer = make(collection=collection, total_steps=10_000)
     trainer.person.pause()
     threading.Timer(0.5, trainer.person.stop).start()
     with pytest.raises(Interrupted):
         trainer.run()
     trainer.close()
-    again = make(overlap=overlap, total_steps=10_000)
+    again = make(collection=collection, total_steps=10_000)
     again.resume()
     assert again.env_steps == trainer.env_steps
     again.close()
@@ -120,9 +120,9 @@ def test_an_environment_without_a_state_says_that_it_cannot(make_trainer, caplog
     assert "does not save its state: its next start is another one" in caplog.text
 
 
-@pytest.mark.parametrize("overlap", [False, True])
-def test_training_robot_and_reset_time_are_counted_apart(make, overlap):
-    trainer = make(overlap=overlap, evaluation=EvaluationSettings(every=100, episodes=2))
+@pytest.mark.parametrize("collection", ["turn", "overlap"])
+def test_training_robot_and_reset_time_are_counted_apart(make, collection):
+    trainer = make(collection=collection, evaluation=EvaluationSettings(every=100, episodes=2))
     trainer.run()
     trainer.close()
     record = read_metrics(trainer.run_dir)
@@ -130,7 +130,7 @@ def test_training_robot_and_reset_time_are_counted_apart(make, overlap):
         values = [value for _, value in record[f"clock/{part}"]]
         assert values == sorted(values) and values[-1] > 0
         assert values[-1] == pytest.approx(trainer.clock.seconds[part])
-    again = make(overlap=overlap, evaluation=EvaluationSettings(every=100, episodes=2))
+    again = make(collection=collection, evaluation=EvaluationSettings(every=100, episodes=2))
     again.resume()
     assert 0 < again.clock.seconds["robot"] <= trainer.clock.seconds["robot"]
     again.close()

@@ -20,6 +20,7 @@ from tensordict.nn import TensorDictModuleBase
 from rrl.pace import prioritized
 
 from ...environment import EnvironmentFactory
+from ...requests import Request, Requests
 from ...seeds import Stream, first_seed
 from ...settings import TrainerSettings
 from ...storage.replay_store import as_stored
@@ -67,6 +68,7 @@ class RealTime(Collection):
         run_dir: Any,
     ) -> None:
         self.settings = settings
+        self.requests = Requests()
         self._hand_over = HandOver(run_dir / FOLDER)
         self._hand_over.folder.mkdir(parents=True, exist_ok=True)
         self._recipe = settings, environment, exploration
@@ -80,6 +82,11 @@ class RealTime(Collection):
             self._start()
         self.interface, self._authority, self._is_robot = self._wait_for("interface")
         self._relayed = self._end_of_messages()
+
+    def tell(self, request: Request) -> None:
+        """Pass on what a person asks for, to evaluations of this process and to the other one."""
+        super().tell(request)
+        self._hand_over.ask(request)
 
     def set_policy(self, policy: TensorDictModuleBase) -> None:
         """Have the process act with ``policy``, from the first collection on."""

@@ -3,6 +3,7 @@
 import logging
 import os
 import signal
+import threading
 import time
 from dataclasses import replace
 from multiprocessing import get_context
@@ -246,3 +247,27 @@ def test_the_period_has_to_be_known(make):
 def test_one_environment_is_stepped(settings):
     with pytest.raises(ValueError, match="collection: realtime steps one environment"):
         settings(num_envs=2, collection="realtime")
+
+
+def test_a_person_judges_and_pauses_what_the_acting_process_plays(make):
+    trainer = make(total_steps=200)
+    one_round = trainer._round
+
+    def asking():
+        if trainer.env_steps == 40:
+            for delay in (0.05, 0.12, 0.19):  # not all of them in the last step of an episode
+                threading.Timer(delay, trainer.person.succeeded).start()
+        if trainer.env_steps == 100:
+            trainer.person.pause()
+            threading.Timer(0.5, trainer.person.go_on).start()
+        one_round()
+
+    trainer._round = asking
+    run(trainer)
+    assert_each_once(trainer)
+    data = acted(trainer.run_dir)
+    first = data["timing", "first"].flatten().nonzero().flatten().tolist()
+    shortened = [n for n in first if n % EPISODE_STEPS]
+    assert shortened  # the judgement ended an episode before its time
+    assert data["timing", "time"].flatten().diff().max() > 0.4  # nothing moved in the pause
+    assert trainer.clock.seconds["robot"] >= 200 * PERIOD * 0.9
