@@ -19,6 +19,7 @@ from rrl.robot import RobotFault
 from rrl.slot_random import seed_env
 
 from ...environment import ResumableEnv
+from ...requests import Requests
 from ...settings import TrainerSettings
 from ...storage.transition_log import FOLDER, TransitionLog
 from ..collection_metrics import Authority
@@ -85,6 +86,8 @@ class Acting:
         self._last_command: Tensor | None = None
         self._missed = self._faults = 0  # since the last record
         self._has_been_late = False
+        self.requests = Requests()
+        env.listen_to(self.requests)
         pace.meanwhile = self._while_there_is_time
 
     @property
@@ -97,13 +100,15 @@ class Acting:
         self._take_weights()
         back = True  # whether the robot did what it should the last time
         while not (self.is_done or self.told_to_stop()):
-            if self.hand_over.is_wanted():
+            if self.hand_over.is_wanted() or self._is_paused():
                 time.sleep(0.01)
                 continue
-            with self.hand_over.driving():
-                back = self._try_episode(back)
-            self._write()
-            self.log.sync()
+            try:
+                with self.hand_over.driving():
+                    back = self._try_episode(back)
+            finally:
+                self._write()
+                self.log.sync()
             self._take_weights()
             if not back:
                 self._sleep(self.settings.realtime.retry)
@@ -142,7 +147,7 @@ class Acting:
 
     def _episode(self, td: TensorDictBase, reset_seconds: float) -> None:
         first, self._last_command = True, None
-        while not (self.is_done or self.told_to_stop()):
+        while not (self.is_done or self.told_to_stop() or self._is_paused()):
             explores = self._count >= (self.settings.controller_steps or 0)
             until = self.pace.scheduled + self.settings.realtime.budget * self.pace.period
             answer = self.thread.ask(td, explores, until)
@@ -158,6 +163,12 @@ class Acting:
                 return
             td, first, reset_seconds = step_mdp(td), False, 0.0
         raise _Stopped
+
+    def _is_paused(self) -> bool:
+        """Note what a person asks for; a pause ends the episode, and the robot stands still."""
+        for request in self.hand_over.requests():
+            self.requests.take(request)
+        return self.requests.paused
 
     def _late(self, td: TensorDictBase) -> TensorDictBase:
         """Return ``td`` with the action of a step that the policy has no answer for in time."""
@@ -176,6 +187,7 @@ class Acting:
 
     def _keep(self, td: TensorDictBase, timing: Timing) -> None:
         timing = timing._replace(
+            robot_seconds=self.env.lap().get("robot", 0.0),
             period_error=self.pace.error,
             inference=self.thread.seconds,
             weights=self._weights.env_steps,
@@ -204,8 +216,7 @@ class Acting:
         weights = self.hand_over.new_weights()
         if weights is None:
             return
-        if not self.thread.idle:
-            raise AssertionError("weights are exchanged between two inferences")
+        self.thread.wait()  # weights are exchanged between two inferences
         assign(self.policy, weights.vector)
         if weights.seed != self._weights.seed:
             seed_env(self.env.base_env, weights.seed)

@@ -9,6 +9,7 @@ Layout::
         weights.bin      its numbers, replaced as a whole
         failure.pkl      what ended the process, if it was an error
         log.txt          what the process says
+        requests.txt     what a person asks for, a line each
         pid              of the process
         transitions/     every transition, in files that only grow
         wish, robot      locked by whoever wants the robot, and whoever has it
@@ -30,6 +31,7 @@ import cloudpickle
 import torch
 from torch import Tensor
 
+from ...requests import Request
 from ...storage.files import lock
 
 __all__ = ["FOLDER", "HandOver", "Weights"]
@@ -61,6 +63,7 @@ class HandOver:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._read: tuple[int, int] | None = None
+        self._answered = 0  # bytes of requests that were read
 
     def write(self, name: str, content: Any) -> None:
         """Replace ``name.pkl``."""
@@ -73,15 +76,25 @@ class HandOver:
 
     def clear(self) -> None:
         """Remove what an earlier process left, but for its transitions."""
-        for name in ("interface.pkl", "policy.pkl", "weights.bin", "failure.pkl", "pid"):
+        for name in (
+            "interface.pkl",
+            "policy.pkl",
+            "weights.bin",
+            "failure.pkl",
+            "pid",
+            "requests.txt",
+        ):
             (self.folder / name).unlink(missing_ok=True)
 
     def publish(self, weights: Weights) -> None:
         """Replace the weights."""
         header = torch.tensor([weights.env_steps, weights.seed])
-        self._replace(
-            "weights.bin", header.numpy().tobytes() + weights.vector.contiguous().numpy().tobytes()
-        )
+        vector = weights.vector.to(torch.float32).contiguous()
+        self._replace("weights.bin", header.numpy().tobytes() + vector.numpy().tobytes())
+
+    def has_weights(self) -> bool:
+        """Return whether any were published since :meth:`clear`."""
+        return (self.folder / "weights.bin").is_file()
 
     def new_weights(self) -> Weights | None:
         """Return the weights if they were replaced since the last call."""
@@ -98,6 +111,23 @@ class HandOver:
         header = torch.frombuffer(content, dtype=torch.int64, count=2)
         vector = torch.frombuffer(content, dtype=torch.float32, offset=16)
         return Weights(int(header[0]), int(header[1]), vector)
+
+    def ask(self, request: Request) -> None:
+        """Pass on what a person asks for."""
+        with (self.folder / "requests.txt").open("a", encoding="utf-8") as file:
+            file.write(f"{request.name}\n")
+
+    def requests(self) -> list[Request]:
+        """Return what was asked for since the last call."""
+        path = self.folder / "requests.txt"
+        if not path.is_file() or path.stat().st_size == self._answered:
+            return []
+        with path.open("rb") as file:
+            file.seek(self._answered)
+            text = file.read()
+        whole = text[: text.rfind(b"\n") + 1]
+        self._answered += len(whole)
+        return [Request[name] for name in whole.decode().split()]
 
     def is_alive(self) -> bool:
         """Return whether a process acts, or is about to."""

@@ -28,11 +28,13 @@ class Timing(NamedTuple):
         weights: Environment steps that the acting policy has learned from.
         faults: Faults of the robot since the last record.
         reset_seconds: How long the reset before it took; 0 within an episode [s].
+        robot_seconds: How long the environment's step took, waiting included [s].
         time: When the step ended, by the wall clock [s].
     """
 
     first: bool
     reset_seconds: float
+    robot_seconds: float = 0.0
     period_error: float = 0.0
     inference: float = 0.0
     weights: int = 0
@@ -84,9 +86,10 @@ def timing_metrics(data: TensorDictBase, first_step: int) -> dict[str, float]:
         "missed_deadlines": float(timing["missed"].sum()),
         "faults": float(timing["faults"].sum()),
         "policy_age": float(age.double().mean()),
-        "reset_seconds": float(timing["reset_seconds"].sum()),
     }
-    return {metrics.name(metrics.REALTIME, key): value for key, value in values.items()}
+    spent = {part: float(timing[f"{part}_seconds"].sum()) for part in ("robot", "reset")}
+    named = {metrics.name(metrics.REALTIME, key): value for key, value in values.items()}
+    return named | metrics.clock(spent)
 
 
 def _percentiles(name: str, values: Tensor) -> dict[str, float]:

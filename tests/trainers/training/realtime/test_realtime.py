@@ -3,6 +3,7 @@
 import logging
 import os
 import signal
+import threading
 import time
 from dataclasses import replace
 from multiprocessing import get_context
@@ -10,7 +11,12 @@ from multiprocessing import get_context
 import pytest
 import torch
 
-from rrl.trainers.settings import CheckpointSettings, EvaluationSettings, RealTimeSettings
+from rrl.trainers.settings import (
+    AcceptanceSettings,
+    CheckpointSettings,
+    EvaluationSettings,
+    RealTimeSettings,
+)
 from rrl.trainers.storage.transition_log import TransitionLog
 from rrl.trainers.training.realtime.hand_over import HandOver
 from runs import run
@@ -55,6 +61,15 @@ class Hesitant(torch.nn.Module):
         return tensordict.set("action", torch.full_like(tensordict["action"], SAID))
 
 
+@pytest.fixture(autouse=True)
+def _nobody_left(tmp_path):
+    """A test that fails leaves no process behind."""
+    yield
+    for pid in tmp_path.glob("*/realtime/pid"):
+        if HandOver(pid.parent).is_alive():
+            os.kill(int(pid.read_text()), signal.SIGKILL)
+
+
 @pytest.fixture
 def make(make_trainer, factory):
     """Builds a trainer of 100 Hz; 20 steps a round."""
@@ -69,6 +84,7 @@ def make(make_trainer, factory):
             "controller_steps": 0,
             "n_step": 1,
             "evaluation": EvaluationSettings(every=0, final_episodes=2),
+            "acceptance": AcceptanceSettings(enabled=False),
             "checkpoint": CheckpointSettings(every=40),
         }
         return make_trainer(run_dir, **{**values, **changes})
@@ -148,7 +164,7 @@ def test_killed_learners_lose_nothing_and_the_environment_goes_on(make, tmp_path
 
 
 def test_an_acting_process_that_died_is_named_and_another_takes_over(make):
-    trainer = make()
+    trainer = make(total_steps=600)
     one_round = trainer._round
 
     def kill_at_60():
@@ -160,7 +176,7 @@ def test_an_acting_process_that_died_is_named_and_another_takes_over(make):
     trainer._round = kill_at_60
     with trainer, pytest.raises(RuntimeError, match="the acting process died"):
         trainer.run()
-    second = make()
+    second = make(total_steps=600)
     second.resume()
     assert_each_once(run(second))
 
@@ -231,3 +247,27 @@ def test_the_period_has_to_be_known(make):
 def test_one_environment_is_stepped(settings):
     with pytest.raises(ValueError, match="collection: realtime steps one environment"):
         settings(num_envs=2, collection="realtime")
+
+
+def test_a_person_judges_and_pauses_what_the_acting_process_plays(make):
+    trainer = make(total_steps=200)
+    one_round = trainer._round
+
+    def asking():
+        if trainer.env_steps == 40:
+            for delay in (0.05, 0.12, 0.19):  # not all of them in the last step of an episode
+                threading.Timer(delay, trainer.person.succeeded).start()
+        if trainer.env_steps == 100:
+            trainer.person.pause()
+            threading.Timer(0.5, trainer.person.go_on).start()
+        one_round()
+
+    trainer._round = asking
+    run(trainer)
+    assert_each_once(trainer)
+    data = acted(trainer.run_dir)
+    first = data["timing", "first"].flatten().nonzero().flatten().tolist()
+    shortened = [n for n in first if n % EPISODE_STEPS]
+    assert shortened  # the judgement ended an episode before its time
+    assert data["timing", "time"].flatten().diff().max() > 0.4  # nothing moved in the pause
+    assert trainer.clock.seconds["robot"] >= 200 * PERIOD * 0.9
