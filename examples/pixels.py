@@ -5,9 +5,9 @@ Run ``python examples/pixels.py``; it needs OpenGL, EGL or OSMesa where there is
 
 from functools import partial
 
-from dm_control import suite
 from torchrl.envs import DMControlWrapper
 
+import rrl.envs  # noqa: F401 - before dm_control, to find an OpenGL that works
 from rrl.controllers import Controller
 from rrl.trainers import EnvironmentFactory, Trainer, TrainerSettings
 
@@ -22,6 +22,8 @@ class Brake(Controller):
 
 def make_base():
     """Return the task with a picture of 64 x 64 pixels beside its observations."""
+    from dm_control import suite
+
     size = {"height": 64, "width": 64, "camera_id": 0}
     task = suite.load("reacher", "easy")
     return DMControlWrapper(task, from_pixels=True, pixels_only=False, render_kwargs=size)
