@@ -201,6 +201,8 @@ class TrainerSettings(_Settings):
             meanwhile, and round ``k`` acts with the policy of round ``k - 1``'s start;
             ``realtime``: a process of its own steps the environment at its control period.
         realtime: See :class:`RealTimeSettings`.
+        keys: Whether a person may pause, judge and stop by keys, where standard input is a
+            terminal.
         profile: Time the parts of a collection too, and print at the end where a step's time went.
         threads: Torch threads. Products of small networks gain little from a second one, and wait
             long for it where another process is busy.
@@ -229,6 +231,7 @@ class TrainerSettings(_Settings):
     intervention_share: Annotated[float, Field(ge=0, le=1)] = IN_YAML
     collection: Literal["turn", "overlap", "realtime"] = IN_YAML
     realtime: RealTimeSettings = IN_YAML
+    keys: bool = IN_YAML
     profile: bool = IN_YAML
     threads: Positive = IN_YAML
     flush_denormals: bool = IN_YAML

@@ -7,6 +7,7 @@ The store::
             rotation-0.1-residual-rl-3f2a91c0/   experiment, setting and arm that asked first; key
                 seed-0/                          an ordinary directory of `rrl train`
         figures/                                 PNG and SVG, and the numbers behind them as CSV
+        gallery.md                               of an experiment with a task for every arm
         report.html                              report-NAME.html for experiments called by name
 
 A key is a checksum of the settings that decide what is learned and measured, without the seed.

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from ..configuration.checks import PlainName, explain
+from ..configuration.schema import PlainName, explain
 from ..settings import Positive
 
 __all__ = [

@@ -100,10 +100,12 @@ class Acting:
             if self.hand_over.is_wanted():
                 time.sleep(0.01)
                 continue
-            with self.hand_over.driving():
-                back = self._try_episode(back)
-            self._write()
-            self.log.sync()
+            try:
+                with self.hand_over.driving():
+                    back = self._try_episode(back)
+            finally:
+                self._write()
+                self.log.sync()
             self._take_weights()
             if not back:
                 self._sleep(self.settings.realtime.retry)
@@ -204,8 +206,7 @@ class Acting:
         weights = self.hand_over.new_weights()
         if weights is None:
             return
-        if not self.thread.idle:
-            raise AssertionError("weights are exchanged between two inferences")
+        self.thread.wait()  # weights are exchanged between two inferences
         assign(self.policy, weights.vector)
         if weights.seed != self._weights.seed:
             seed_env(self.env.base_env, weights.seed)

@@ -79,9 +79,12 @@ class HandOver:
     def publish(self, weights: Weights) -> None:
         """Replace the weights."""
         header = torch.tensor([weights.env_steps, weights.seed])
-        self._replace(
-            "weights.bin", header.numpy().tobytes() + weights.vector.contiguous().numpy().tobytes()
-        )
+        vector = weights.vector.to(torch.float32).contiguous()
+        self._replace("weights.bin", header.numpy().tobytes() + vector.numpy().tobytes())
+
+    def has_weights(self) -> bool:
+        """Return whether any were published since :meth:`clear`."""
+        return (self.folder / "weights.bin").is_file()
 
     def new_weights(self) -> Weights | None:
         """Return the weights if they were replaced since the last call."""
