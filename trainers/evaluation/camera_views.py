@@ -16,7 +16,7 @@ from rrl.inputs import Input
 __all__ = ["beside", "camera_views"]
 
 Picture = NDArray[np.uint8]
-BACKGROUND = 20
+BACKGROUND = 90
 
 
 def camera_views(td: TensorDictBase, inputs: Mapping[str, Input]) -> list[Picture]:

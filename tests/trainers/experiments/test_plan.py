@@ -210,3 +210,17 @@ def test_an_experiment_that_has_to_be_named_is_left_out_otherwise_and_sets_its_o
     write(folders[0] / "experiment/apart.yaml", apart)
     assert {p.experiment for p in points()} == {"drift"}
     assert {p.seeds for p in points("apart")} == {(0, 1, 2, 3)}
+
+
+def test_the_blind_arm_is_the_arm_with_a_camera_but_for_the_camera():
+    configs = {point.arm: point.config for point in paper_points("quick", ["pixels"])}
+    camera = {"_target_", "camera", "picture_size", "camera_shift", "light_shift"}
+    found = []
+    for arm in ("pixels", "blind"):
+        env, rest = configs[arm]["env"], {**configs[arm], "env": None, "name": None}
+        base = {key: value for key, value in env["base"].items() if key not in camera}
+        inputs = {key: entry for key, entry in env["inputs"].items() if key != "pixels"}
+        found.append((base, inputs, env["metrics"], env["action_history"], rest))
+    assert found[0] == found[1]
+    assert "blocks" not in configs["pixels"]["env"]["inputs"]
+    assert "blocks" in configs["tracked poses"]["env"]["inputs"]
