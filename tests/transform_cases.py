@@ -27,6 +27,7 @@ from rrl.transforms import (
     FiniteAction,
     ForceLimit,
     Intervention,
+    JudgedSuccess,
     ObservationDropout,
     ObservationLatency,
     ObservationNoise,
@@ -159,6 +160,10 @@ def episode_value(seed: int | None) -> Transform:
     return EpisodeValue({"success": "sum"})
 
 
+def judged_success(seed: int | None) -> Transform:
+    return JudgedSuccess(("judged", "success"))
+
+
 def residual_history(seed: int | None) -> Transform:
     return Compose(residual(seed), ActionHistory(2))
 
@@ -208,6 +213,7 @@ CASES: dict[str, Factory] = {
         finite_action,
         action_history,
         episode_value,
+        judged_success,
         residual_history,
         operated,
         safe_residual,

@@ -19,7 +19,13 @@ from torchrl.envs.transforms import Compose, DoubleToFloat, DTypeCastTransform, 
 from rrl.inputs import Input
 from rrl.keys import ACTION, BASE_ACTION, DIVERGED, PREVIOUS_ACTION, SUCCESS
 from rrl.symmetry import Symmetry, as_map
-from rrl.transforms import ActionHistory, FiniteAction, Intervention, ResidualAction
+from rrl.transforms import (
+    ActionHistory,
+    FiniteAction,
+    Intervention,
+    JudgedSuccess,
+    ResidualAction,
+)
 
 from .entry_checks import check_action, check_reported
 from .input_entries import as_inputs, read_inputs
@@ -142,6 +148,7 @@ class EnvironmentFactory:
             name. Names that are not here are reported with their mean and without a unit.
         control_period: Seconds from one action to the next; None: what the environment's attribute
             of that name says, or unknown.
+        judged: Whether success is what a person says; for an environment that does not write it.
         intervention: Makes the transform through which an operator may take over in training.
         units: What the numbers of ``action`` and of observation entries are counted in, by name.
     """
@@ -160,6 +167,7 @@ class EnvironmentFactory:
     symmetries: Mapping[str, Mapping[str, Sequence[int]]] = field(default_factory=dict)
     metrics: Mapping[str, Metric] = field(default_factory=dict)
     control_period: float | None = None
+    judged: bool = False
     intervention: Callable[[], Intervention] | None = None
     units: Mapping[str, str] = field(default_factory=dict)
 
@@ -184,6 +192,8 @@ class EnvironmentFactory:
         errors = WorkerErrors() if self.batching == "parallel" and num_envs > 1 else None
         env = ResumableEnv(self._make_base(num_envs, errors), Compose())
         env.__dict__["worker_errors"] = errors
+        if self.judged:
+            env.append_transform(JudgedSuccess())
         check_action(env.full_action_spec)
         check_reported(env.observation_spec, env.ndim, self.metrics)
         if any(spec.dtype == torch.float64 for spec in env.specs.values(True, True)):

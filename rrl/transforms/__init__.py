@@ -4,6 +4,7 @@ from rrl.transforms.action_history import ActionHistory
 from rrl.transforms.control_noise import ControlNoise
 from rrl.transforms.episode_value import EpisodeValue
 from rrl.transforms.intervention import Intervention
+from rrl.transforms.judged_success import JudgedSuccess
 from rrl.transforms.residual_action import ResidualAction
 from rrl.transforms.safety import FiniteAction, ForceLimit, SafetyLimit, StepLimit, WorkspaceLimit
 from rrl.transforms.sensing import ObservationDropout, ObservationLatency, ObservationNoise
@@ -15,6 +16,7 @@ __all__ = [
     "FiniteAction",
     "ForceLimit",
     "Intervention",
+    "JudgedSuccess",
     "ObservationDropout",
     "ObservationLatency",
     "ObservationNoise",

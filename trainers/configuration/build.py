@@ -60,6 +60,7 @@ def environment(config: Config) -> EnvironmentFactory:
         symmetries=env.get("symmetries") or {},
         metrics={name: Metric(**(how or {})) for name, how in (env.get("metrics") or {}).items()},
         control_period=env.get("control_period"),
+        judged=env.get("judged", False),
         intervention=next(map(build, _enabled(config.get("operator"))), None),
         units=env.get("units") or {},
     )

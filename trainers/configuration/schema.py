@@ -48,6 +48,7 @@ class _Env(Section):
     action_history: Positive = 1
     symmetries: dict[str, dict[str, list[int]]] | None = None
     metrics: dict[PlainName, Metric | None] | None = None
+    judged: bool = False
     control_period: Annotated[float, Field(gt=0)] | None = None
     units: dict[str, str] | None = None
     sensing: Targets = None

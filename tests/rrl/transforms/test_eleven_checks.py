@@ -39,6 +39,7 @@ TIMED = {
     "action_history",
     "residual_history",
     "operated",
+    "judged_success",
     "episode_value",
 }  # cases that need an order in time
 LIMITS = {"workspace_limit", "step_limit", "force_limit", "finite_action", "safe_residual"}

@@ -69,6 +69,7 @@ OBSERVERS = {
     "tracker",
     "action_history",
     "episode_value",
+    "judged_success",
 }
 """Transforms that leave the action as it is, precision included."""
 

@@ -28,7 +28,9 @@ def results(project):
 
 def metrics(run_dir):
     rows = read_metrics(run_dir)
-    return {name: series for name, series in rows.items() if not name.startswith("time/")}
+    return {
+        name: series for name, series in rows.items() if not name.startswith(("time/", "clock/"))
+    }
 
 
 def test_a_failed_run_is_named_and_tried_again_while_the_others_are_kept(project, run, monkeypatch):

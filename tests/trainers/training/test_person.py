@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from dataclasses import replace
 
 import pytest
 import torch
@@ -11,7 +12,7 @@ import torch
 from rrl.trainers.loggers import read_metrics
 from rrl.trainers.settings import AcceptanceSettings, EvaluationSettings
 from rrl.trainers.training.interruption import Interrupted
-from toy_envs import EPISODE_STEPS
+from toy_envs import EPISODE_STEPS, PointMass
 
 NO_EVALUATION = EvaluationSettings(every=0, episodes=2, final_episodes=2, slots=2)
 UNTESTED = AcceptanceSettings(enabled=False)
@@ -83,6 +84,35 @@ def test_a_judgement_ends_the_episode(make, succeeded):
     assert bool(data["next", "success"].flatten()[6]) is succeeded
     assert not data["next", "terminated"].any()  # the value of what follows is still there
     assert data["next", "truncated"].flatten()[6]
+
+
+def test_success_may_be_a_persons_judgement_alone(make_trainer, factory):
+    class Blind(PointMass):
+        def __init__(self):
+            super().__init__([1])
+            del self.observation_spec["success"]
+
+        def _observe(self):
+            return {k: v for k, v in super()._observe().items() if k != "success"}
+
+    environment = replace(factory, base=lambda num_envs=1: Blind(), judged=True)
+    evaluation = EvaluationSettings(every=0, final_episodes=2, slots=1)
+    trainer = make_trainer(
+        environment=environment, evaluation=evaluation, acceptance=UNTESTED, total_steps=0
+    )
+    env = trainer.evaluator._env("drift", 2)
+    original, steps = env.step, [0]
+
+    def step(tensordict):
+        steps[0] += 1
+        if steps[0] % 5 == 0:
+            trainer.person.succeeded()
+        return original(tensordict)
+
+    object.__setattr__(env, "step", step)
+    found = trainer.run()["drift"].residual
+    trainer.close()
+    assert found.success.all() and (found.lengths == 5).all()
 
 
 def test_a_judgement_of_several_environments_at_once_is_refused(make, caplog):
