@@ -20,6 +20,8 @@ from tensordict.nn import TensorDictModuleBase
 from rrl.pace import prioritized
 
 from ...environment import EnvironmentFactory
+from ...loggers import metrics
+from ...requests import Request, Requests
 from ...seeds import Stream, first_seed
 from ...settings import TrainerSettings
 from ...storage.replay_store import as_stored
@@ -30,7 +32,7 @@ from ..collection_metrics import EpisodeReturns, collection_metrics
 from ..interface import Exploration
 from ..policy_vector import flatten
 from .hand_over import FOLDER, HandOver, Weights
-from .records import TIMING, cut_episodes, timing_metrics
+from .records import TIMING, cut_episodes, seconds_of, timing_metrics
 
 __all__ = ["RealTime"]
 
@@ -67,6 +69,7 @@ class RealTime(Collection):
         run_dir: Any,
     ) -> None:
         self.settings = settings
+        self.requests = Requests()  # of this process's environments: evaluations
         self._hand_over = HandOver(run_dir / FOLDER)
         self._hand_over.folder.mkdir(parents=True, exist_ok=True)
         self._recipe = settings, environment, exploration
@@ -80,6 +83,11 @@ class RealTime(Collection):
             self._start()
         self.interface, self._authority, self._is_robot = self._wait_for("interface")
         self._relayed = self._end_of_messages()
+
+    def tell(self, request: Request) -> None:
+        """Pass on what a person asks for, also to the process."""
+        super().tell(request)
+        self._hand_over.tell(request)
 
     def set_policy(self, policy: TensorDictModuleBase) -> None:
         """Have the process act with ``policy``, from the first collection on."""
@@ -106,9 +114,10 @@ class RealTime(Collection):
         if bool(data[TIMING, "first"][0]):
             self._returns.reset()
         rollout = data.unsqueeze(0)
+        stored = as_stored(rollout, self.interface.kept)
         values = collection_metrics(rollout, self._authority) | self._returns.metrics(rollout)
-        values |= timing_metrics(data, env_steps)
-        return as_stored(rollout, self.interface.kept), values
+        values |= timing_metrics(data, env_steps) | metrics.clock(seconds_of(data))
+        return stored, values
 
     @property
     def can_continue(self) -> bool:
