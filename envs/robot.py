@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from typing import Any
 
@@ -16,6 +17,8 @@ from rrl.pace import Pace
 from rrl.robot import Observation, Robot, RobotFault
 
 __all__ = ["RobotEnv"]
+
+log = logging.getLogger(__name__)
 
 FLAGS = ("terminated", "truncated")
 
@@ -68,11 +71,13 @@ class RobotEnv(EnvBase):
         self.robot.stop()
 
     def close(self, **kwargs: Any) -> None:
-        """Stop the robot and close its driver."""
+        """Stop the robot and close its driver, whether or not it answers."""
         if self._connected:
             self._connected = False
             try:
                 self.robot.stop()
+            except RobotFault as fault:
+                log.warning("the robot is left without being told to stop: %s", fault)
             finally:
                 self.robot.close()
         super().close(**kwargs)

@@ -18,6 +18,9 @@ ATTEMPTS, LONGEST = 4, 1.0
 """How often a call without an answer is sent, and after how many seconds at the latest it is sent
 again: a packet may be lost."""
 
+STOP_PATIENCE = 1.0
+"""Seconds for which a robot is told to stop until it answers."""
+
 
 class RemoteRobot(Robot):
     """The four calls over a socket, to what :func:`~rrl.envs.plant.serve` serves.
@@ -27,7 +30,8 @@ class RemoteRobot(Robot):
 
     Args:
         address: Where the robot listens, a ZeroMQ address.
-        patience: How long an answer may take [s]; None: 0.4 of the control period.
+        patience: How long an answer may take [s], but to ``stop``, which is said for a second;
+            None: 0.4 of the control period.
         reset_patience: How long the way to the start of an episode may take [s].
         connect_patience: How long the robot may take to describe itself [s].
 
@@ -66,7 +70,7 @@ class RemoteRobot(Robot):
 
     def stop(self) -> None:
         """Stand still."""
-        self.ask("stop", self._patience)
+        self.ask("stop", STOP_PATIENCE)
 
     def close(self) -> None:
         """Close the socket."""

@@ -154,7 +154,7 @@ class Chain:
         return TensorDict(parts[LAST], batch_size=self._batch)
 
     def _batched(self, value: Tensor) -> Tensor:
-        return value.reshape(*self._batch, *value.shape)
+        return value.reshape((*self._batch, *value.shape))
 
     def _single(self, value: Tensor) -> Tensor:
         return value.reshape(value.shape[len(self._batch) :])

@@ -11,10 +11,7 @@ import time
 import warnings
 from pathlib import Path
 
-from torchrl.envs import EnvBase
-
 from rrl.pace import Pace, prioritize
-from rrl.robot import RobotFault
 
 from ...environment import EnvironmentFactory, ResumableEnv
 from ...settings import TrainerSettings
@@ -63,7 +60,7 @@ class _Process:
                 acting.stop()
                 acting.thread.close()
         finally:
-            _close(env)
+            env.close()
 
     def _wait_for_weights(self) -> bool:
         """Return False if there is nobody any more who would send some."""
@@ -95,13 +92,6 @@ def _pace(settings: TrainerSettings, environment: EnvironmentFactory, env: Resum
             f"got {wanted:g}"
         )
     return own
-
-
-def _close(env: EnvBase) -> None:
-    try:
-        env.close()
-    except RobotFault as fault:
-        log.warning("closing: %s", fault)
 
 
 def _claim(folder: Path) -> int:
