@@ -154,6 +154,8 @@ class TrainerSettings(_Settings):
         buffer_capacity: Transitions kept for replay.
         intervention_share: Part of every batch, at least, that comes from steps that an operator
             has taken over, as soon as there are any.
+        keys: Whether a person may pause, judge and stop by keys, where standard input is a
+            terminal.
         collection: ``turn`` with the updates; ``overlap``: a second process collects the next round
             meanwhile, and round ``k`` acts with the policy of round ``k - 1``'s start;
             ``realtime``: a process of its own steps the environment at its control period.
@@ -184,6 +186,7 @@ class TrainerSettings(_Settings):
     batch_size: Positive = IN_YAML
     buffer_capacity: Positive = IN_YAML
     intervention_share: Annotated[float, Field(ge=0, le=1)] = IN_YAML
+    keys: bool = IN_YAML
     collection: Literal["turn", "overlap", "realtime"] = IN_YAML
     realtime: RealTimeSettings = IN_YAML
     profile: bool = IN_YAML

@@ -46,7 +46,7 @@ def test_a_worker_that_ends_is_named_with_its_reason(make_trainer, factory, tmp_
 @pytest.mark.parametrize("how", ENDINGS)
 def test_so_it_is_where_a_second_process_collects(make_trainer, factory, tmp_path, how):
     base = partial(Failing, AT, how, tmp_path / "hot")
-    make = partial(make_trainer, overlap=True)
+    make = partial(make_trainer, collection="overlap")
     check(make, factory(base, batching="parallel"), tmp_path / "hot", ENDINGS[how])
 
 
