@@ -5,10 +5,11 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["Pace", "prioritize"]
+__all__ = ["Pace", "prioritize", "prioritized"]
 
 log = logging.getLogger(__name__)
 
@@ -87,11 +88,26 @@ def prioritize(priority: int) -> None:
     if not priority:
         return
     try:
-        for thread in Path("/proc/self/task").iterdir():
-            os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, os.sched_param(priority))
+        _schedule(os.SCHED_FIFO, priority)
     except (AttributeError, PermissionError, FileNotFoundError):
         log.warning(
             "priority: this system does not let the process have real-time priority %d; going on "
             "without (on Linux: ulimit -r, or CAP_SYS_NICE)",
             priority,
         )
+
+
+@contextmanager
+def prioritized(priority: int) -> Iterator[None]:
+    """Do :func:`prioritize` while the body runs; threads that it starts are ordinary afterwards."""
+    prioritize(priority)
+    try:
+        yield
+    finally:
+        if priority and hasattr(os, "SCHED_FIFO"):
+            _schedule(os.SCHED_OTHER, 0)
+
+
+def _schedule(policy: int, priority: int) -> None:
+    for thread in Path("/proc/self/task").iterdir():
+        os.sched_setscheduler(int(thread.name), policy, os.sched_param(priority))

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
+
+from rrl.keys import ACTION, OBSERVATION
 
 __all__ = ["Symmetry", "as_map"]
 
@@ -65,6 +68,25 @@ class Symmetry:
     def reflect_action(self, action: Tensor, which: Tensor) -> Tensor:
         """Return image ``which`` [...] of each ``action`` [..., m]."""
         return self._action.one(action, which)
+
+    def reflect_transitions(self, batches: TensorDictBase) -> None:
+        """Put a randomly drawn image in the place of each transition ``[*batch]``."""
+        which = torch.randint(self.num_images, batches.shape)
+        for key in (OBSERVATION, ("next", OBSERVATION)):
+            batches[key] = self.reflect(batches[key], which)
+        batches[ACTION] = self.reflect_action(batches[ACTION], which)
+
+    def check_sizes(self, features: int, action: int) -> None:
+        """Refuse features and actions of other sizes.
+
+        Raises:
+            ValueError: If a size is not that of the maps.
+        """
+        if (self.observation_size, self.action_size) != (features, action):
+            raise ValueError(
+                f"symmetry: expected maps of {features} features and {action} numbers of action, "
+                f"got {self.observation_size} and {self.action_size}"
+            )
 
     def return_actions(self, actions: Tensor, signed: bool = True) -> Tensor:
         """Return what each image's action ``[..., G, m]`` is in the original."""

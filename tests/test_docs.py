@@ -37,13 +37,23 @@ DOCUMENTS = [ROOT / "README.md", ROOT / "examples/README.md", *sorted((ROOT / "d
 TUTORIAL = ROOT / "docs/tutorial.ipynb"
 
 
+RUN_ELSEWHERE = {("python", "robot.md")}
+"""tests/test_robot_page.py runs these: they need a plant, and one another."""
+
+
 def blocks(language, documents=DOCUMENTS):
     """Fenced blocks of documents, named by their place."""
     for document in documents:
+        if (language, document.name) in RUN_ELSEWHERE:
+            continue
         text = document.read_text()
         for found in re.finditer(rf"^```{language}\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
             line = text[: found.start()].count("\n") + 2
             yield pytest.param(found[1], id=f"{document.relative_to(ROOT)}:{line}")
+
+
+TASKS = [*blocks("python", [ROOT / "docs/your_task.md"])]
+"""How to train, and tasks to train on."""
 
 
 def commands():
@@ -85,9 +95,8 @@ class Robot:
 
 @pytest.mark.parametrize("snippet", [*blocks("python")])
 @pytest.mark.filterwarnings("ignore:::(?!rrl)")  # the gallery's packages warn of one another
-def test_python_runs(snippet, folder, tmp_path):
-    for module in re.findall(r"from rrl.envs.gallery import (\w+)", snippet):
-        pytest.importorskip(EXTRAS[module], exc_type=ImportError)
+def test_python_runs(snippet, folder):
+    skip_without_packages(snippet)
     user_has = {
         "base": PointMass([1]),
         "controller": ProportionalController("end_effector_position", gain=1.0),
@@ -98,17 +107,24 @@ def test_python_runs(snippet, folder, tmp_path):
     exec(compile(snippet, "snippet", "exec"), names)
     if "env" in names:
         assert names["env"].rollout(2)["base_action"].shape[-1] > 0
-    if "environment" in names:
-        check_played(names["environment"], tmp_path)
 
 
-def check_played(environment, folder):
+def skip_without_packages(snippet):
+    for module in re.findall(r"from rrl.envs.gallery import (\w+)", snippet):
+        pytest.importorskip(EXTRAS[module], exc_type=ImportError)
+
+
+@pytest.mark.parametrize("snippet", TASKS[1:])
+@pytest.mark.filterwarnings("ignore:::(?!rrl)")
+def test_a_task_is_played(snippet, tmp_path):
     """The document's first snippet plays an episode of the controller; nothing is learned."""
-    environment = replace(environment, max_episode_steps=10)  # of an evaluation
+    skip_without_packages(snippet)
     names = {}
-    exec(next(blocks("python", [ROOT / "docs/your_task.md"])).values[0], names)
+    for each in (TASKS[0].values[0], snippet):
+        exec(compile(each, "snippet", "exec"), names)
+    environment = replace(names["environment"], max_episode_steps=10)  # of an evaluation
     few = {"every": 0, "episodes": 1, "final_episodes": 1}
-    summary = names["train"](environment, folder, total_steps=0, evaluation=few)
+    summary = names["train"](environment, tmp_path, total_steps=0, evaluation=few)
     assert summary["return"] == summary["controller_return"]
 
 
@@ -118,7 +134,7 @@ def lines_of_the_user(snippet):
     return [line for line in lines if line and not line.startswith(("import ", "from "))]
 
 
-@pytest.mark.parametrize("snippet", [*blocks("python", [ROOT / "docs/your_task.md"])])
+@pytest.mark.parametrize("snippet", TASKS)
 def test_twelve_lines_are_enough_for_a_task(snippet):
     assert len(lines_of_the_user(snippet)) <= 12
     assert "class" not in snippet
@@ -194,7 +210,8 @@ def check_pip(arguments, *_):
 
 def check_python(arguments, *_):
     if arguments[0] == "-m":
-        module = ROOT / arguments[1].replace(".", "/")
+        name = arguments[1].removeprefix("rrl.") if "rrl.envs" in arguments[1] else arguments[1]
+        module = ROOT / name.replace(".", "/")
         assert module.with_suffix(".py").is_file() or (module / "__main__.py").is_file()
         return
     assert (ROOT / arguments[0]).is_file() or "NAME" in arguments[0]

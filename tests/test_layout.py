@@ -1,6 +1,8 @@
 """The house's rules: who may import whom, and what an installation puts where."""
 
 import ast
+import re
+from itertools import takewhile
 from pathlib import Path
 
 import pytest
@@ -41,6 +43,35 @@ def test_imports_respect_the_layers(path):
             assert not (name == forbidden or name.startswith(forbidden + ".")), name
         if top in {"hydra", "omegaconf"}:
             assert path.name in HYDRA_ONLY_IN
+
+
+def rooms() -> list[set[str]]:
+    """The rows of the design's table of rooms, names of files and folders of ``trainers/``."""
+    table = (ROOT / "docs/design.md").read_text().partition("| room | its one purpose |")[2]
+    rows = takewhile(lambda line: line.startswith("|"), table.splitlines()[2:])
+    return [set(re.findall(r"`([\w.]+)/?`", row.split("|")[1])) for row in rows]
+
+
+def neighbours(path: Path) -> set[str]:
+    """Names of what a file of ``trainers/`` imports from there."""
+    folder, found = path.relative_to(ROOT / "trainers").parts[:-1], set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            parts = [*folder[: len(folder) + 1 - node.level], *(node.module or "").split(".")]
+            names = [parts[0]] if parts[0] else [alias.name for alias in node.names]
+            found |= {n if (ROOT / "trainers" / n).is_dir() else f"{n}.py" for n in names}
+    return found
+
+
+def test_rooms_of_the_trainers_import_one_way():
+    order = {name: i for i, row in enumerate(rooms()) for name in row}
+    for path in sorted((ROOT / "trainers").rglob("*.py")):
+        room = path.relative_to(ROOT / "trainers").parts[0]
+        if room in ("__init__.py", "__main__.py"):
+            continue
+        assert room in order, f"{room} is missing from the table of rooms in docs/design.md"
+        above = {name for name in order if order[name] <= order[room]}
+        assert neighbours(path) <= above, f"{path} imports {neighbours(path) - above}"
 
 
 def test_every_package_is_declared():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -23,6 +24,7 @@ from rrl.transforms import ActionHistory, FiniteAction, Intervention, ResidualAc
 from .entry_checks import check_action, check_reported
 from .input_entries import as_inputs, read_inputs
 from .metric import Metric
+from .requests import Requests
 from .worker_errors import WorkerErrors
 
 __all__ = ["Batching", "EnvironmentFactory", "Input", "ResumableEnv"]
@@ -39,6 +41,25 @@ class ResumableEnv(TransformedEnv):
 
     next_input: TensorDictBase
     worker_errors: WorkerErrors | None = None
+    requests: Requests | None = None
+
+    def listen_to(self, requests: Requests) -> None:
+        """Do what a person asks for, from the next step on."""
+        self.__dict__["requests"] = requests
+
+    def lap(self) -> dict[str, float]:
+        """Return the seconds of steps, ``robot``, and of resets since the last time."""
+        seconds: dict[str, float] = self.__dict__.pop("_seconds", {})
+        return seconds
+
+    @contextmanager
+    def _timed(self, part: str) -> Iterator[None]:
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            seconds = self.__dict__.setdefault("_seconds", {"robot": 0.0, "reset": 0.0})
+            seconds[part] += time.perf_counter() - start
 
     def begin_with(self, entries: TensorDictBase) -> None:
         """Have the next reset return these entries."""
@@ -46,7 +67,9 @@ class ResumableEnv(TransformedEnv):
 
     def reset(self, tensordict: TensorDictBase | None = None, **arguments: Any) -> TensorDictBase:
         """Reset the environment, or return what :meth:`begin_with` was given."""
-        with self._explaining():
+        if self.requests is not None:
+            self.requests.before_reset(self.base_env)
+        with self._timed("reset"), self._explaining():
             self.next_input = super().reset(tensordict, **arguments)
         begin: TensorDictBase | None = self.__dict__.pop("_begin", None)
         if begin is not None:
@@ -62,9 +85,14 @@ class ResumableEnv(TransformedEnv):
         return out, self.next_input
 
     def step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Step."""
-        with self._explaining():
-            return super().step(tensordict)
+        """Step, once a pause is over; a person's judgement may end the episode."""
+        if self.requests is not None:
+            self.requests.before_step()
+        with self._timed("robot"), self._explaining():
+            out = super().step(tensordict)
+        if self.requests is not None:
+            self.requests.judge(out["next"])
+        return out
 
     @contextmanager
     def _explaining(self) -> Iterator[None]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import signal
 from collections.abc import Sequence
 from typing import Any
@@ -46,6 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     plant = SimulatedPlant(make_config(chosen.variant, overrides), chosen.timeout)
     period = plant.description.period
     print(f"the plant listens at {chosen.address}, {1 / period:g} commands a second", flush=True)
+    gc.freeze()  # what lives anyway is not looked through while the arm moves
     prioritize(chosen.priority)
     serve(plant, chosen.address, tick=plant.advance, running=lambda: not ended, faults=Faults())
 

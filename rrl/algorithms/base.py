@@ -23,7 +23,7 @@ from rrl.algorithms.symmetric_actor import SymmetricActor
 from rrl.algorithms.transfer import take_over
 from rrl.algorithms.updates import Step, Updates
 from rrl.inputs import Input
-from rrl.keys import ACTION, OBSERVATION
+from rrl.keys import ACTION
 from rrl.symmetry import Symmetry
 
 __all__ = ["Agent"]
@@ -94,12 +94,7 @@ class Agent(nn.Module, ABC):
                     "the policy reads; set use_symmetries to false to learn from images or from "
                     "critic_inputs"
                 )
-            sizes = symmetry.observation_size, symmetry.action_size
-            if sizes != (self.encoder.out_features, action_size):
-                raise ValueError(
-                    f"symmetry: expected maps of {self.encoder.out_features} features and "
-                    f"{action_size} numbers of action, got {sizes[0]} and {sizes[1]}"
-                )
+            symmetry.check_sizes(self.encoder.out_features, action_size)
 
     @property
     def encoder(self) -> Any:
@@ -217,7 +212,7 @@ class Agent(nn.Module, ABC):
         self.residual_weight.fill_(price / (1 + self.num_updates / self.penalty_updates))
         batches = self._encoded(batches)
         if self.symmetry is not None:
-            self._reflect(batches, self.symmetry)
+            self.symmetry.reflect_transitions(batches)
         entries = sorted(batches.items(True, True), key=lambda item: str(item[0]))
         keys, columns = tuple(k for k, _ in entries), [v.contiguous() for _, v in entries]
         history: dict[str, list[Tensor]] = {}
@@ -248,13 +243,6 @@ class Agent(nn.Module, ABC):
             return self._critic_step
         burns_in = self.num_updates <= self.settings.critic_burn_in
         return self._critic_and_target_step if burns_in else self._critic_and_policy_step
-
-    def _reflect(self, batches: TensorDictBase, symmetry: Symmetry) -> None:
-        """Put a randomly drawn mirror image in the place of each transition."""
-        which = torch.randint(symmetry.num_images, batches.shape)
-        for key in (OBSERVATION, ("next", OBSERVATION)):
-            batches[key] = symmetry.reflect(batches[key], which)
-        batches[ACTION] = symmetry.reflect_action(batches[ACTION], which)
 
     @abstractmethod
     def value_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:

@@ -9,6 +9,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 from torchrl.objectives import SACLoss, TD3Loss
+from torchrl.objectives.common import AUTO_LOSS_MASK_KEYS
 from torchrl.objectives.sac import compute_rsample_log_prob
 from torchrl.objectives.utils import distance_loss
 
@@ -17,6 +18,11 @@ __all__ = ["EnsembleSACLoss", "EnsembleTD3Loss"]
 Metrics = dict[str, Tensor]
 PolicyValue = Literal["mean", "first", "least"]
 """What the policy climbs: the mean of all critics (REDQ), the first (TD3), the least (SAC)."""
+_WITHOUT = {
+    "value_network": "the critics' targets stand in for it",
+    "skip_done_states": "what follows an end does not count in a target",
+}
+"""Why arguments of TorchRL's losses are not needed."""
 
 
 class _Ensemble:
@@ -34,13 +40,30 @@ class _Ensemble:
     loss_function: str
     vmap_randomness: Any
     use_prioritized_weights: Any
+    loss_mask_key: Any
+    deactivate_vmap: bool
     tensor_keys: Any
     value_estimator: Any
     qvalue_network: Any
     qvalue_network_params: Any
     target_qvalue_network_params: Any
 
-    def _configure(self, target_subset: int, policy_value: PolicyValue) -> None:
+    def __init__(
+        self,
+        actor_network: Any,
+        qvalue_network: Any,
+        *,
+        target_subset: int = 2,
+        policy_value: PolicyValue = "mean",
+        **arguments: Any,
+    ) -> None:
+        for name in ("value_network", "skip_done_states"):
+            if arguments.get(name):
+                raise ValueError(
+                    f"{name}: expected none for an ensemble of critics, got a "
+                    f"{type(arguments[name]).__name__}; leave it out: {_WITHOUT[name]}"
+                )
+        super().__init__(actor_network, qvalue_network, **arguments)  # type: ignore[call-arg]
         if not 1 <= target_subset <= self.num_qvalue_nets:
             raise ValueError(
                 f"target_subset: expected 1 to num_qvalue_nets ({self.num_qvalue_nets}) critics, "
@@ -59,8 +82,12 @@ class _Ensemble:
                 return self.qvalue_network(inputs).get(self.tensor_keys.state_action_value)
 
         inputs = tensordict.select(*self.qvalue_network.in_keys, strict=False)
-        vmapped = torch.vmap(value, (None, 0), randomness=self.vmap_randomness)
-        return vmapped(inputs, params).squeeze(-1)
+        if self.deactivate_vmap:
+            values = torch.stack([value(inputs, critic) for critic in params.unbind(0)])
+        else:
+            vmapped = torch.vmap(value, (None, 0), randomness=self.vmap_randomness)
+            values = vmapped(inputs, params)
+        return values.squeeze(-1)
 
     def _policy_value(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
         """Return what the policy climbs, ``[*batch]``, and the critics' values ``[n, *batch]``."""
@@ -94,15 +121,28 @@ class _Ensemble:
         }
 
     def _reduced(self, loss: Tensor, tensordict: TensorDictBase) -> Tensor:
-        """Reduce a loss ``[*batch]`` as ``reduction`` says, weighted by priorities if any."""
-        weights = tensordict.get(self.tensor_keys.priority_weight, None)
-        if weights is not None and self.use_prioritized_weights:
-            loss = loss * weights.reshape(loss.shape)
-            if self.reduction == "mean":
-                return loss.sum() / weights.sum()
+        """Reduce a loss ``[*batch]`` as ``reduction`` says.
+
+        Steps count as much as their priority weight, and not at all where they are masked.
+        """
+        weight = self._weight(loss, tensordict)
+        if weight is not None:  # masked steps may hold anything, also what times zero is not zero
+            loss = torch.where(weight == 0, 0.0, loss * weight)
         if self.reduction == "none":
             return loss
+        if self.reduction == "mean" and weight is not None:
+            return loss.sum() / weight.sum().clamp_min(torch.finfo(loss.dtype).tiny)
         return loss.mean() if self.reduction == "mean" else loss.sum()
+
+    def _weight(self, loss: Tensor, tensordict: TensorDictBase) -> Tensor | None:
+        """Return how much each step counts, shaped as the loss; None: all count alike."""
+        key, found = self.loss_mask_key, []
+        for name in AUTO_LOSS_MASK_KEYS if key == "auto" else [] if key is None else [key]:
+            found.append(tensordict.get(name, None))
+        if self.use_prioritized_weights:
+            found.append(tensordict.get(self.tensor_keys.priority_weight, None))
+        weights = [w.reshape(loss.shape).to(loss) for w in found if w is not None]
+        return torch.stack(weights).prod(0) if weights else None
 
 
 class EnsembleTD3Loss(_Ensemble, TD3Loss):
@@ -120,18 +160,6 @@ class EnsembleTD3Loss(_Ensemble, TD3Loss):
     Raises:
         ValueError: If ``target_subset`` is not in 1 to ``num_qvalue_nets``.
     """
-
-    def __init__(
-        self,
-        actor_network: Any,
-        qvalue_network: Any,
-        *,
-        target_subset: int = 2,
-        policy_value: PolicyValue = "mean",
-        **arguments: Any,
-    ) -> None:
-        super().__init__(actor_network, qvalue_network, **arguments)
-        self._configure(target_subset, policy_value)
 
     def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, Metrics]:
         """Return the sum of the critics' losses and what ``TD3Loss`` tells about it."""
@@ -168,20 +196,9 @@ class EnsembleSACLoss(_Ensemble, SACLoss):
         arguments: Of ``SACLoss``; ``num_qvalue_nets`` is the ensemble's size.
 
     Raises:
-        ValueError: If ``target_subset`` is not in 1 to ``num_qvalue_nets``.
+        ValueError: If ``target_subset`` is not in 1 to ``num_qvalue_nets``, or an ensemble does
+            not have what is asked for (a ``value_network``, ``skip_done_states``).
     """
-
-    def __init__(
-        self,
-        actor_network: Any,
-        qvalue_network: Any,
-        *,
-        target_subset: int = 2,
-        policy_value: PolicyValue = "mean",
-        **arguments: Any,
-    ) -> None:
-        super().__init__(actor_network, qvalue_network, **arguments)
-        self._configure(target_subset, policy_value)
 
     def qvalue_v2_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, Metrics]:
         """Return the sum of the critics' losses; ``td_error`` is the largest of the critics'."""
@@ -189,7 +206,7 @@ class EnsembleSACLoss(_Ensemble, SACLoss):
             following = tensordict.get("next").copy()
             action, log_prob = self._sample(following)
             following.set(self.tensor_keys.action, action)
-            entropy_bonus = -self.log_alpha.exp() * log_prob
+            entropy_bonus = -self._temperature() * log_prob
             next_value = self._least_target(following) + entropy_bonus
         loss, info = self._critics_loss(tensordict, next_value)
         return loss, {**info, "td_error": info["td_error"].sqrt().max(0)[0]}
@@ -199,8 +216,14 @@ class EnsembleSACLoss(_Ensemble, SACLoss):
         action, log_prob = self._sample(tensordict)
         acting = tensordict.select(*self.qvalue_network.in_keys, strict=False)
         value, _ = self._policy_value(acting.set(self.tensor_keys.action, action))
-        loss = self.log_alpha.exp().detach() * log_prob - value
+        loss = self._temperature() * log_prob - value
         return self._reduced(loss, tensordict), {"log_prob": log_prob.detach()}
+
+    def _temperature(self) -> Tensor:
+        """Return the entropy's weight, kept within ``min_alpha`` and ``max_alpha``."""
+        if self.min_log_alpha is not None or self.max_log_alpha is not None:
+            self.log_alpha.data.clamp_(self.min_log_alpha, self.max_log_alpha)
+        return self.log_alpha.detach().exp()
 
     def _sample(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
         """Return an action of the policy and its log-probability."""

@@ -91,7 +91,8 @@ class Adam(nn.Module):
                 maximize=False,
             )
             return
-        torch._foreach_add_(steps, 1.0)
+        for step in steps:
+            step.add_(1.0)
         root = (1 - beta2 ** steps[0]).sqrt()
         # One tensor of both: the compiler would compute each anew in every loop that reads it.
         both = torch.stack([self.lr * root / (1 - beta1 ** steps[0]), self.eps * root])

@@ -96,15 +96,15 @@ def test_an_untrained_residual_is_zero(algorithm):
     assert not deterministic(agent.policy, torch.randn(5, OBSERVATION)).any()
 
 
-def test_every_image_is_learned_from_with_its_reward():
+def test_every_image_is_learned_from_with_its_reward(monkeypatch):
     agent, seen = make_agent(TD3, symmetry=MIRRORS), []
-    reflect = agent._reflect
+    reflect = Symmetry.reflect_transitions
 
-    def watched(given, symmetry):
-        reflect(given, symmetry)
+    def watched(symmetry, given):
+        reflect(symmetry, given)
         seen.append(given.clone())
 
-    agent._reflect = watched
+    monkeypatch.setattr(Symmetry, "reflect_transitions", watched)
     data = batches(40)
     agent.update(data.clone())
     (given,) = seen

@@ -8,7 +8,8 @@ from collections.abc import Mapping
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
-from ..environment import EnvironmentFactory
+from ..environment import EnvironmentFactory, ResumableEnv
+from ..requests import Requests
 from ..seeds import Stream, first_seed
 from ..settings import EvaluationSettings
 from .episodes import Comparison, Episodes
@@ -29,18 +30,23 @@ class Evaluator:
     Args:
         scenarios: Environments by name; the first is followed during training.
         settings: How many episodes, and which.
+        requests: What a person asks for while they are played.
 
     Raises:
         ValueError: If there is no scenario.
     """
 
     def __init__(
-        self, scenarios: Mapping[str, EnvironmentFactory], settings: EvaluationSettings
+        self,
+        scenarios: Mapping[str, EnvironmentFactory],
+        settings: EvaluationSettings,
+        requests: Requests | None = None,
     ) -> None:
         if not scenarios:
             raise ValueError("scenarios: expected at least one, got none")
         self.scenarios, self.settings = dict(scenarios), settings
-        self._envs: dict[tuple[str, int], EnvBase] = {}
+        self._requests = requests or Requests()
+        self._envs: dict[tuple[str, int], ResumableEnv] = {}
         self._controller: dict[tuple[str, Stream, int], Episodes] = {}
         self._frozen: dict[str, bool] = {}
 
@@ -113,6 +119,11 @@ class Evaluator:
         """Return the seed of a stream's first episode; episode ``i`` has this seed plus ``i``."""
         return first_seed(stream, self.settings.seed)
 
+    def lap(self) -> dict[str, float]:
+        """Return the seconds of steps and of resets since the last time, by name."""
+        laps = [env.lap() for env in self._envs.values()]
+        return {part: sum(lap.get(part, 0.0) for lap in laps) for part in ("robot", "reset")}
+
     def close(self) -> None:
         """Close the environments."""
         while self._envs:
@@ -132,4 +143,5 @@ class Evaluator:
             slots = -(-episodes // batches)
         if (scenario, slots) not in self._envs:
             self._envs[scenario, slots] = factory.make(slots)
+            self._envs[scenario, slots].listen_to(self._requests)
         return self._envs[scenario, slots]

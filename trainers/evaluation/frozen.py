@@ -12,7 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from .rollout import isolated_generators, rollout
+from .rollout import isolated_generators, rollout, whole
 
 __all__ = ["FEW", "explanation", "replay_difference"]
 
@@ -72,10 +72,12 @@ def explanation(scenario: str, difference: str, alone: bool) -> str:
 
 def _trace(env: EnvBase, policy: TensorDictModuleBase, seed: int, max_steps: int) -> Trace:
     with isolated_generators(seed):
-        return [
-            (_checksums(td, len(running)), running.numpy())
-            for td, running in rollout(env, policy, seed, max_steps, FEW)
-        ]
+        return whole(
+            lambda: (
+                (_checksums(td, len(running)), running.numpy())
+                for td, running in rollout(env, policy, seed, max_steps, FEW)
+            )
+        )
 
 
 def _checksums(td: TensorDictBase, slots: int) -> dict[NestedKey, NDArray[np.float64]]:

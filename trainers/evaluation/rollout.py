@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import random
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -15,12 +19,19 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from rrl.keys import ACTION, DIVERGED, METRICS, REWARD, SAFETY, SUCCESS
+from rrl.robot import RobotFault
 from rrl.slot_random import seed_env
 
 from ..metric import Metric
 from .episodes import Episodes
 
-__all__ = ["isolated_generators", "rollout", "run_episodes", "zero_residual"]
+__all__ = ["isolated_generators", "rollout", "run_episodes", "whole", "zero_residual"]
+
+log = logging.getLogger(__name__)
+
+T = TypeVar("T")
+RETRY = 1.0
+"""Seconds between attempts to play an episode on a robot that does not do what it should."""
 
 
 def zero_residual(env: EnvBase) -> TensorDictModule:
@@ -114,7 +125,7 @@ def run_episodes(
     for first in range(0, num_episodes, slots):
         kept = min(slots, num_episodes - first)
         with isolated_generators(seed + first):
-            _, *steps = rollout(env, policy, seed + first, max_steps, kept)
+            _, *steps = whole(partial(rollout, env, policy, seed + first, max_steps, kept))
         running = np.stack([mask[:kept].numpy() for _, mask in steps])  # (T, kept)
         parts.append(_reduced([_entries(td, kept) for td, _ in steps], running, metrics or {}))
     columns = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
@@ -132,6 +143,16 @@ def run_episodes(
         {limit: count.astype(np.int64) for limit, count in named(SAFETY).items()},
         metrics or {},
     )
+
+
+def whole(play: Callable[[], Iterable[T]]) -> list[T]:
+    """Return what ``play`` gives; it is called again where a fault of the robot cuts it short."""
+    while True:
+        try:
+            return list(play())
+        except RobotFault as fault:
+            log.warning("an evaluation's episode is played again: %s", fault)
+            time.sleep(RETRY)
 
 
 def _entries(td: TensorDictBase, kept: int) -> dict[str, np.ndarray]:

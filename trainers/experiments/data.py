@@ -1,6 +1,6 @@
 """What a repository keeps of runs: enough for figures, tables and claims, not the policies.
 
-A run's directory without all that is large, some 15 KB; `rrl report` reads it too::
+A run's directory without all that is large, 10 to 30 KB; `rrl report` reads it too::
 
     DATA/
         rotation-0.1-residual-rl-3f2a91c0/   as in the store; the key names the settings

@@ -14,8 +14,8 @@ from .claims import Verdict, criterion
 from .outcomes import Finding, Findings
 from .plan import command
 from .spec import Experiment, Settings
-from .standing import HEADER, standing_row
-from .tables import final_rows, overall_iqm, steps_rows, success_rows
+from .standing import HEADER, notes, standing_row
+from .tables import final_rows, followed_rows, overall_iqm, steps_rows, success_rows
 
 __all__ = ["write_report"]
 
@@ -79,7 +79,11 @@ def _experiment(page: Page, experiment: Experiment, finding: Finding, figure: Pa
         page.table(*final_rows(experiment, finding))
     if experiment.figure == "curves" and finding.outcomes[0].follows("success"):
         page.table(*steps_rows(finding))
-    if finding.outcomes[0].knows("success") and experiment.figure in ("table", "sweep"):
+    if experiment.evaluated_at:
+        page.table(*followed_rows(experiment, finding))
+    if finding.outcomes[0].knows("success") and (
+        experiment.figure in ("table", "sweep") or len(finding.outcomes[0].scenarios) > 1
+    ):
         page.table(*success_rows(experiment, finding))
     for arm in finding.arms if experiment.sweep else ():
         outcomes = finding.arm(arm)
@@ -91,21 +95,8 @@ def _experiment(page: Page, experiment: Experiment, finding: Finding, figure: Pa
 
 def _standings(page: Page, finding: Finding) -> None:
     page.table(HEADER, [standing_row(outcome) for outcome in finding.outcomes])
-    page.text(
-        "Brackets hold 95 % intervals: of the controller over its episodes; of policies over runs "
-        "and episodes (success, beta-binomial) or over runs (return, Student's t); of the gain "
-        "over runs and episodes, paired where the episodes are frozen. Not worse: at every "
-        "evaluation of every run during training, and on the final episodes in the mean of the "
-        "runs, what is handed over is at most the allowed difference below the controller (see "
-        "`trainer.acceptance.margin`; of returns it is a share of the range of the controller's). "
-        "Better: beyond that the interval of the final gain is above zero."
-    )
-    times = [run.seconds for outcome in finding.outcomes for run in outcome.runs]
-    page.text(
-        f"Wall time of all {len(times)} runs together, one after the other: "
-        f"{sum(times) / 3600:.1f} h; side by side it is divided by the number of workers, as long "
-        "as each has a core."
-    )
+    for text in notes(finding):
+        page.text(text)
 
 
 def _clips(page: Page, experiment: Experiment, clips: Sequence[tuple[Path, str]]) -> None:

@@ -17,6 +17,7 @@ from ..training.interruption import Interruption
 from .claims import Verdict, judge
 from .data import keep, take
 from .figures import draw
+from .markdown import write_page
 from .numbers import write_numbers
 from .outcomes import Finding, gather
 from .plan import Compose, Point, plan_jobs, plan_points
@@ -102,10 +103,12 @@ def _show(
     video = rescue_video(findings, console) if len(tasks) < len(shown) else None
     if verdicts:
         console.print(_verdict_table(verdicts))
+    pages: list[Path] = []
     for experiment in tasks:
         console.print(_task_table(experiment, findings[experiment.name]))
+        pages.append(write_page(experiment, findings[experiment.name], report.parent))
     write_report(shown, findings, figures, verdicts, video, clips, settings, ending, report)
-    for path in (*figures.values(), *numbers, report):
+    for path in (*figures.values(), *numbers, *pages, report):
         console.say(f"  {path}")
 
 

@@ -13,9 +13,9 @@ from ..loggers import metrics
 from ..report.notes import ACCEPTED
 from ..report.runs import Run
 from ..report.tables import gain, handed_over, with_interval
-from .outcomes import Outcome
+from .outcomes import Finding, Outcome
 
-__all__ = ["HEADER", "Standing", "standing", "standing_row"]
+__all__ = ["HEADER", "Standing", "notes", "standing", "standing_row"]
 
 HEADER = [
     "task",
@@ -29,6 +29,15 @@ HEADER = [
     "wall time of a run",
     "packages",
 ]
+READING = (
+    "Brackets hold 95 % intervals: of the controller over its episodes; of policies over runs "
+    "and episodes (success, beta-binomial) or over runs (return, Student's t); of the gain over "
+    "runs and episodes, paired where the episodes are frozen. Not worse: at every evaluation of "
+    "every run during training, and on the final episodes in the mean of the runs, what is handed "
+    "over is at most the allowed difference below the controller (see `trainer.acceptance.margin`; "
+    "of returns it is a share of the range of the controller's). Better: beyond that the interval "
+    "of the final gain is above zero."
+)
 
 
 @dataclass(frozen=True)
@@ -84,6 +93,28 @@ def standing_row(outcome: Outcome) -> list[str]:
     minutes = np.mean([run.seconds for run in outcome.runs]) / 60
     cells += [least, found.verdict, f"{minutes:.1f} min", _packages(outcome)]
     return [outcome.point.arm, found.entry, *cells]
+
+
+def notes(finding: Finding) -> list[str]:
+    """Return how the rows are to be read, how many runs they are of, and what these took."""
+    counts: dict[int, list[str]] = {}
+    for outcome in finding.outcomes:
+        counts.setdefault(len(outcome.runs), []).append(outcome.point.arm)
+    asked = max(len(outcome.point.seeds) for outcome in finding.outcomes)
+    few = "; ".join(
+        f"{count} of {asked} seeds: {', '.join(arms)}"
+        for count, arms in sorted(counts.items())
+        if count < asked
+    )
+    times = [run.seconds for outcome in finding.outcomes for run in outcome.runs]
+    whole = f"Finished: {few}." if few else f"Seeds of every row: {asked}."
+    return [
+        READING,
+        whole,
+        f"Wall time of all {len(times)} runs together, one after the other: "
+        f"{sum(times) / 3600:.1f} h; side by side it is divided by the number of workers, as long "
+        "as each has a core.",
+    ]
 
 
 def _changes(run: Run, entry: str) -> Iterator[float]:

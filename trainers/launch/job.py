@@ -23,6 +23,7 @@ NOT_MEASURED = (
     "logger*",
     "render.*",
     "trainer.profile",
+    "trainer.keys",
     "trainer.threads",
     "trainer.checkpoint.*",
     "trainer.evaluation.slots",

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 __all__ = [
     "ACCEPTANCE",
     "ACTION",
+    "CLOCK",
     "CONSTRAINT",
     "EVALUATION",
     "FINAL",
@@ -19,6 +20,7 @@ __all__ = [
     "TRAIN",
     "WHOLE_SECTIONS",
     "Values",
+    "clock",
     "evaluation",
     "name",
 ]
@@ -74,6 +76,10 @@ TIME = "time"
 ``update``. With ``trainer.profile`` also the parts of a collection, ``time/collect/<part>``, or of
 ``time/beside`` where a second process collects."""
 
+CLOCK = "clock"
+"""Seconds since the run began: ``clock/training`` of updates, ``clock/robot`` of the environment's
+steps, evaluations included and pauses not, ``clock/reset`` of its resets."""
+
 WHOLE_SECTIONS = ("collect", "store", "update", "evaluate", "checkpoint", "log")
 """Of ``time/``: they follow one another, so that their sum is the time of the run."""
 
@@ -86,3 +92,8 @@ def name(group: str, *parts: str) -> str:
 def evaluation(group: str, scenario: str, summary: Mapping[str, float]) -> dict[str, float]:
     """Name the entries of an evaluation's summary; ``group`` is ``EVALUATION`` or ``FINAL``."""
     return {name(group, scenario, key): value for key, value in summary.items()}
+
+
+def clock(seconds: Mapping[str, float]) -> dict[str, float]:
+    """Name seconds by what they were spent on."""
+    return {name(CLOCK, part): value for part, value in seconds.items()}

@@ -164,6 +164,12 @@ def _curves(page: Page, groups: Sequence[Group]) -> None:
             panels_of(metrics.TRAIN),
             "What the exploring policy meets, per collection.",
         ),
+        (
+            "Real time",
+            panels_of(metrics.REALTIME),
+            "Collection in wall-clock time, per collection: errors of the control period, time of "
+            "inference, steps without an answer in time, faults, the acting policy's age in steps.",
+        ),
         ("Losses", panels_of(metrics.LOSS), "Means over the updates of a round."),
         (
             "Budgets",

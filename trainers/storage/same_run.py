@@ -16,6 +16,7 @@ MAY_CHANGE = (
     "render.*",
     "trainer.total_steps",
     "trainer.profile",
+    "trainer.keys",
     "trainer.threads",
     "trainer.evaluation.*",
     "trainer.acceptance.episodes",

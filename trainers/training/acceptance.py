@@ -54,17 +54,25 @@ class Acceptance:
         self._budget = ErrorBudget(self.settings.alpha)
         self._followed: Episodes | None = None  # of what is handed over
 
-    def announce(self, env_steps: int) -> None:
-        """Say what testing may cost from ``env_steps`` on."""
+    def tests_ahead(self, env_steps: int) -> int:
+        """Return how many policies may be tested from ``env_steps`` on."""
         if not self.settings.enabled:
-            return
+            return 0
         total, every = self._run.total_steps, self._run.evaluation.every or self._run.total_steps
         past = max(env_steps, (self._run.warmup_steps or 0) - 1)  # no policy has learned before
-        if (evaluations := (-(-total // every) - past // every) if total > past else 0) > 0:
+        return max(0, -(-total // every) - past // every) if total > past else 0
+
+    def episodes_ahead(self, env_steps: int) -> int:
+        """Return how many episodes testing may cost from ``env_steps`` on, at most."""
+        return 2 * self.settings.episodes * self.tests_ahead(env_steps)
+
+    def announce(self, env_steps: int) -> None:
+        """Say what testing may cost from ``env_steps`` on."""
+        if (evaluations := self.tests_ahead(env_steps)) > 0:
             log.info(
                 "acceptance: at most %d episodes in %d evaluations, beside the evaluations' own: "
                 "%d pairs of policy and controller each; a test ends as soon as it is decided",
-                2 * self.settings.episodes * evaluations,
+                self.episodes_ahead(env_steps),
                 evaluations,
                 self.settings.episodes,
             )

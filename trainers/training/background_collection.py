@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import io
 import os
 import pickle
@@ -26,6 +27,7 @@ from torchrl.checkpoint import GlobalRNGState
 from rrl.algorithms.compilation import import_compiler
 
 from ..environment import EnvironmentFactory
+from ..requests import Request, Requests
 from ..settings import TrainerSettings
 from ..storage.plain_state import from_plain, to_plain
 from .collection import Collection, InTurn, Metrics
@@ -62,13 +64,16 @@ class InBackground(Collection):
         self, settings: TrainerSettings, environment: EnvironmentFactory, exploration: Exploration
     ) -> None:
         context = get_context("spawn")  # a fork would inherit the threads' locks without threads
+        self.requests = Requests()  # of this process's environments: evaluations
         self._connection, far_end = context.Pipe()
+        heard, self._told = context.Pipe(duplex=False)
         recipe = cloudpickle.dumps((settings, environment, exploration))
         self._process = context.Process(
-            target=_serve, args=(far_end, recipe), name="rrl-collection"
+            target=_serve, args=(far_end, heard, recipe), name="rrl-collection"
         )
         self._process.start()
         far_end.close()
+        heard.close()
         atexit.register(
             self.close
         )  # before multiprocessing's own, which would wait for the process
@@ -77,6 +82,12 @@ class InBackground(Collection):
         self._can_continue: bool | None = None
         import_compiler()  # meanwhile the worker starts
         self.interface = self._receive()
+
+    def tell(self, request: Request) -> None:
+        """Pass on what a person asks for, also to the process, which may be collecting."""
+        super().tell(request)
+        with contextlib.suppress(OSError):  # it has died, which the next call says
+            self._told.send(request)
 
     def set_policy(self, policy: TensorDictModuleBase) -> None:
         """Act with copies of ``policy``, one round of updates late."""
@@ -131,6 +142,7 @@ class InBackground(Collection):
     def close(self) -> None:
         """Have the process close its environment, and end it if it does not."""
         atexit.unregister(self.close)
+        self.tell(Request.GO_ON)  # or it would wait for ever
         self._connection.close()  # it reads the end of the requests
         self._process.join(CLOSE_SECONDS)
         if self._process.is_alive():
@@ -209,7 +221,7 @@ class _Worker:
         self.rng.load_state_dict(state["rng"])
 
 
-def _serve(connection: Connection, recipe: bytes) -> None:
+def _serve(connection: Connection, told: Connection, recipe: bytes) -> None:
     """Answer requests until there are no more."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)  # they stop the run; the run ends this process
@@ -228,6 +240,7 @@ def _serve(connection: Connection, recipe: bytes) -> None:
     def start() -> Any:
         nonlocal worker
         worker = _Worker(recipe)
+        threading.Thread(target=_listen, args=(told, worker.collection), daemon=True).start()
         return worker.collection.interface
 
     try:
@@ -240,6 +253,13 @@ def _serve(connection: Connection, recipe: bytes) -> None:
     finally:
         if worker is not None:
             worker.collection.close()
+
+
+def _listen(told: Connection, collection: Collection) -> None:
+    """Pass on what a person asks for, also in the middle of a collection."""
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            collection.tell(told.recv())
 
 
 def _end_with_parent() -> None:

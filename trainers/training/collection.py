@@ -16,6 +16,8 @@ from torchrl.envs.utils import ExplorationType
 from rrl.keys import ACTION
 
 from ..environment import EnvironmentFactory
+from ..loggers import metrics
+from ..requests import Request, Requests
 from ..settings import TrainerSettings
 from ..storage.replay_store import as_stored
 from .collection_metrics import Authority, EpisodeReturns, collection_metrics
@@ -35,6 +37,12 @@ class Collection(ABC):
     """
 
     interface: Interface
+    requests: Requests
+    """What a person asks of the environments of this process."""
+
+    def tell(self, request: Request) -> None:
+        """Pass on what a person asks for."""
+        self.requests.take(request)
 
     @abstractmethod
     def set_policy(self, policy: TensorDictModuleBase) -> None:
@@ -97,6 +105,8 @@ class InTurn(Collection):
     ) -> None:
         self.settings = settings
         self.env, self.interface, self.exploration = prepare(settings, environment, exploration)
+        self.requests = Requests()
+        self.env.listen_to(self.requests)
         self._returns = EpisodeReturns(settings.num_envs)
         self._annealed = 0  # environment steps that the exploration module knows of
 
@@ -146,7 +156,7 @@ class InTurn(Collection):
                 _fill_in_last_observations(data, kept)
             stored = as_stored(data, kept)
             values = collection_metrics(data, Authority.of(self.env)) | self._returns.metrics(data)
-        return stored, values | measured(self.stopwatch)
+        return stored, values | measured(self.stopwatch) | metrics.clock(self.env.lap())
 
     @property
     def can_continue(self) -> bool:

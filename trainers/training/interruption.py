@@ -6,7 +6,7 @@ import logging
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
@@ -32,11 +32,24 @@ class Interruption:
 
     Args:
         answer: what is done about it, said at the first signal.
+
+    Attributes:
+        when_asked: called when somebody asks, so that nothing waits any longer.
+        at_once: called before a second signal ends the process.
     """
 
     def __init__(self, answer: str = "finishing this round and saving") -> None:
         self.signal: signal.Signals | None = None
         self._answer = answer
+        self.when_asked: list[Callable[[], None]] = []
+        self.at_once: list[Callable[[], None]] = []
+
+    def ask(self, number: signal.Signals) -> None:
+        """Ask the run to stop, as if a signal had come."""
+        self.signal = number
+        for call in self.when_asked:
+            call()
+        log.warning("%s: %s; once more to stop at once", number.name, self._answer)
 
     def check(self) -> None:
         """Raise :class:`Interrupted` if somebody asked."""
@@ -66,8 +79,9 @@ class Interruption:
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         if self.signal is not None:
+            for call in self.at_once:
+                call()
             signal.signal(number, signal.SIG_DFL)
             os.kill(os.getpid(), number)
             return
-        self.signal = signal.Signals(number)
-        log.warning("%s: %s; once more to stop at once", self.signal.name, self._answer)
+        self.ask(signal.Signals(number))

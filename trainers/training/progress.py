@@ -46,7 +46,7 @@ class Progress:
             TimeElapsedColumn(),
             TimeRemainingColumn(),
             console=self.console,
-            disable=not self.console.is_terminal,
+            disable=self.console.quiet or not self.console.is_terminal,
         )
         with bar, _above_the_bar():
             self._task = bar.add_task("training", total=total or None, completed=done, status="")

@@ -25,16 +25,20 @@ from ..storage.finite import require_finite
 from ..storage.replay_store import ReplayStore
 from ..storage.same_run import require_same_run
 from .acceptance import Acceptance
+from .clock import Clock
 from .collecting import make_collection
 from .collection import Metrics
 from .constraints import Constraints
 from .counters import Counters
 from .interface import Exploration
 from .interruption import Interruption
+from .keys import listening
 from .learner import default_agent, default_exploration
 from .learning import Learning
+from .person import Person
 from .profiling import Profile, measured
 from .progress import Progress
+from .schedule import announce, checkpoint_due, evaluation_due
 from .torch_setup import configure_torch
 
 __all__ = ["Trainer"]
@@ -101,11 +105,15 @@ class Trainer:
         self.store.require_room(self.collection.interface.transition_bytes)
         self.replay = self.store.replay
         self.constraints = Constraints(environment.metrics, settings.constraints, settings.n_step)
-        self.evaluator = Evaluator(scenarios or {"training": environment}, settings.evaluation)
+        self.person = Person(self.collection.tell, self.interruption)
+        self.evaluator = Evaluator(
+            scenarios or {"training": environment}, settings.evaluation, self.collection.requests
+        )
         self.acceptance = Acceptance(settings, self.agent, self.evaluator)
         self.learning = Learning(
             self.agent, self.store, self.constraints, settings, self.run_dir, self.stopwatch
         )
+        self.clock = Clock(self.evaluator.lap)
         self.counters: dict[str, int] = {"env_steps": 0, "restarts": 0}
         self._resumed = False
         components = {
@@ -116,6 +124,7 @@ class Trainer:
             "constraints": self.constraints,
             "generator": self.learning.generator,
             "progress": Counters(self.counters),
+            "clock": self.clock,
         }
         self.checkpoints = Checkpoints(self.run_dir, settings.checkpoint.keep, components)
         self._generators = GlobalRNGState().state_dict()  # whatever is made before the run begins
@@ -176,9 +185,9 @@ class Trainer:
         GlobalRNGState().load_state_dict(self._generators)
         for logger in self.loggers:
             logger.start(self.run_dir, self.config, self.env_steps)
-        self.acceptance.announce(self.env_steps)
+        announce(self.settings, self.evaluator, self.acceptance, self.env_steps)
         progress = self.progress.training(settings.total_steps, self.env_steps)
-        with self.interruption.listening(), progress:
+        with self.interruption.listening(), progress, listening(self.person, settings.keys):
             if self.env_steps == 0:
                 self._save()
                 if settings.evaluation.every:
@@ -222,8 +231,8 @@ class Trainer:
     def _round(self) -> None:
         values = self._recover() if self.store.pending else self._collect_and_store()
         self.counters["env_steps"] += self.settings.steps_per_round
-        checkpoint_due = self._due(self.settings.checkpoint.every)
-        self.collection.before_updates(self._next_round(), checkpoint_due)
+        saves = checkpoint_due(self.settings, self.env_steps)
+        self.collection.before_updates(self._next_round(), saves)
         if self.env_steps >= (self.settings.warmup_steps or 0):
             with self.stopwatch("update"):
                 values |= self.learning.update()
@@ -231,10 +240,10 @@ class Trainer:
         self.profile.add(values, self.settings.steps_per_round)
         with self.stopwatch("log"):
             self._log(values)
-        if self._evaluation_due():
+        if evaluation_due(self.settings, self.env_steps):
             self._evaluate()
         self.progress.advance(self.settings.steps_per_round)
-        if checkpoint_due:
+        if saves:
             with self.stopwatch("checkpoint"):
                 self._save()
 
@@ -269,14 +278,6 @@ class Trainer:
             self._save()
             self.interruption.check()
 
-    def _due(self, every: int) -> bool:
-        return bool(every) and self.env_steps % every == 0
-
-    def _evaluation_due(self) -> bool:
-        """Evaluate at the end too, where what is handed over depends on it."""
-        ends = self.settings.acceptance.enabled and self.env_steps >= self.settings.total_steps
-        return ends or self._due(self.settings.evaluation.every)
-
     def _evaluate(self) -> None:
         followed, episodes = self.evaluator.followed, self.settings.evaluation.episodes
         with self.stopwatch("evaluate"), self.collection.paused():
@@ -297,5 +298,6 @@ class Trainer:
         return results
 
     def _log(self, values: Mapping[str, float]) -> None:
+        values = self.clock.totals(values)
         for logger in self.loggers:
             logger.log(values, self.env_steps)

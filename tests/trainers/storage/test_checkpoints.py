@@ -1,34 +1,16 @@
 """Checkpoints: whole or known not to be, small, free of code, and only of the same run."""
 
-import json
 import logging
 import os
 import pickle
-from functools import partial
 
 import pytest
 import torch
 
-from rrl.algorithms import TD3, mlp
 from rrl.trainers.settings import CheckpointSettings
 from rrl.trainers.storage import files
 from rrl.trainers.storage.checkpoints import load_components
-from rrl.trainers.storage.same_run import differences, require_same_run
 from toy_envs import EPISODE_STEPS
-
-
-@pytest.fixture
-def make(make_trainer, simulated):
-    return partial(make_trainer, environment=simulated)
-
-
-@pytest.fixture
-def stopped(make, tmp_path):
-    """A run of 200 steps with checkpoints at 100 and 200, and its directory."""
-    trainer = make()
-    trainer.run()
-    trainer.close()
-    return tmp_path / "run"
 
 
 def newest(run_dir):
@@ -298,85 +280,3 @@ def test_loading_executes_nothing(stopped, make, tmp_path, legacy):
         trainer.resume()
     trainer.close()
     assert not trap.exists()
-
-
-def test_a_changed_run_is_refused_with_the_difference(stopped, make):
-    trainer = make(batch_size=16, seed=2)
-    with pytest.raises(ValueError, match=r"(?s)trainer.batch_size: 32 -> 16.*trainer.seed: 0 -> 2"):
-        trainer.resume()
-    trainer.close()
-
-
-def test_more_steps_other_loggers_other_cadence_are_the_same_run(stopped, make):
-    trainer = make(
-        total_steps=240,
-        loggers=[],
-        checkpoint=CheckpointSettings(every=40, keep=3),
-        evaluation={"every": 0, "episodes": 1, "final_episodes": 2, "slots": 1},
-    )
-    trainer.resume()
-    trainer.run()
-    trainer.close()
-    whole = make("whole", total_steps=240)
-    whole.run()
-    whole.close()
-    assert same_state(dict(whole.agent.state_dict()), dict(trainer.agent.state_dict()))
-
-
-@pytest.mark.slow  # compiling takes its time
-@pytest.mark.filterwarnings("ignore")  # torch.compile warns of its own settings
-def test_a_compiled_run_resumes_to_rounding(make):
-    """Compiled kernels need not round alike in another process; here they do to a part in 10^5."""
-    compiled = partial(make, agent=partial(TD3, network=partial(mlp, hidden=[16]), compiled=True))
-    whole = compiled("whole", total_steps=200)
-    whole.run()
-    compiled_first = compiled("broken", total_steps=140)
-    compiled_first.run()
-    compiled_first.close()
-    resumed = compiled("broken", total_steps=200)
-    resumed.resume()
-    resumed.run()
-    for mine, other in zip(whole.agent.parameters(), resumed.agent.parameters(), strict=True):
-        torch.testing.assert_close(mine, other, rtol=1e-5, atol=1e-6)
-    whole.close()
-    resumed.close()
-
-
-BASE = {
-    "name": "a",
-    "trainer": {"total_steps": 100, "num_seeds": 1, "threads": 1},
-    "algorithm": {"agent": {"tau": 0.1, "actor_lr": 0.1}},
-    "env": {"base": {"variant": "sim"}, "scenarios": {"one": {}}},
-    "logger": {"csv": {"_target_": "x"}},
-}
-
-
-@pytest.mark.parametrize(
-    ("path", "value", "line"),
-    [
-        ("algorithm.agent.tau", 0.2, "algorithm.agent.tau: 0.1 -> 0.2"),
-        ("env.base.variant", "real", 'env.base.variant: "sim" -> "real"'),
-        ("env.base.clearance", 0.1, "env.base.clearance: (absent) -> 0.1"),
-        ("trainer.num_seeds", 2, "trainer.num_seeds: 1 -> 2"),
-        ("trainer.total_steps", 200, None),
-        ("trainer.threads", 2, None),
-        ("name", "b", None),
-        ("logger", {}, None),
-        ("env.scenarios.two", {"yaw_range": 1.0}, None),
-        ("algorithm.agent.actor_lr", 0.01, None),
-    ],
-)
-def test_what_may_change(path, value, line):
-    changed = json.loads(json.dumps(BASE))
-    *parents, last = path.split(".")
-    node = changed
-    for parent in parents:
-        node = node[parent]
-    node[last] = value
-    assert len(differences(BASE, changed)) >= 1
-    if line is None:
-        require_same_run(BASE, changed)
-    else:
-        with pytest.raises(ValueError) as caught:
-            require_same_run(BASE, changed)
-        assert f"  {line}\n" in str(caught.value)

@@ -151,3 +151,13 @@ def test_a_schema_that_cannot_be_read_is_named(tmp_path):
     (tmp_path / "schema.json").write_text("{}")
     with pytest.raises(ValueError, match=r"schema.json does not describe transitions"):
         TransitionLog(tmp_path)
+
+
+def test_a_reader_sees_what_another_process_has_appended_since(tmp_path):
+    reader = TransitionLog(tmp_path)
+    assert reader.refresh() == 0
+    writer = TransitionLog(tmp_path, segment_bytes=10 * RECORD_BYTES)
+    for first in range(0, 24, 8):
+        writer.append(transitions(first, 8))
+        assert reader.refresh() == first + 8
+        assert_reads(reader, first, first + 8)

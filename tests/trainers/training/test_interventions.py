@@ -42,13 +42,13 @@ def test_what_is_stored_was_executed_and_a_share_is_drawn(make_trainer, operated
     assert "intervention/steps" in metrics and "intervention/exceeds" in metrics
 
 
-@pytest.mark.parametrize("overlap", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_a_run_that_dies_is_the_run_that_never_died(make_trainer, operated, overlap):
+@pytest.mark.parametrize("collection", ["turn", pytest.param("overlap", marks=pytest.mark.slow)])
+def test_a_run_that_dies_is_the_run_that_never_died(make_trainer, operated, collection):
     changes = {
         "steps_per_collection": 10,
         "buffer_capacity": 60,
         "intervention_share": 0.3,
-        "overlap": overlap,
+        "collection": collection,
     }
     make = partial(make_trainer, environment=operated, **changes)
     whole = run(make("whole"))

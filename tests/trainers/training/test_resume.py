@@ -130,3 +130,23 @@ def test_an_environment_that_resets_itself_ends_with_the_last_observation_it_sho
         assert torch.equal(data["next", key][over], data[key][over])
         goes_on = ~over[:, :-1]
         assert torch.equal(data["next", key][:, :-1][goes_on], data[key][:, 1:][goes_on])
+
+
+@pytest.mark.slow  # compiling takes its time
+@pytest.mark.filterwarnings("ignore")  # torch.compile warns of its own settings
+def test_a_compiled_run_resumes_to_rounding(make_trainer, simulated):
+    """Compiled kernels need not round alike in another process; here they do to a part in 10^5."""
+    agent = partial(TD3, network=partial(mlp, hidden=[16]), compiled=True)
+    compiled = partial(make_trainer, environment=simulated, agent=agent)
+    whole = compiled("whole", total_steps=200)
+    whole.run()
+    compiled_first = compiled("broken", total_steps=140)
+    compiled_first.run()
+    compiled_first.close()
+    resumed = compiled("broken", total_steps=200)
+    resumed.resume()
+    resumed.run()
+    for mine, other in zip(whole.agent.parameters(), resumed.agent.parameters(), strict=True):
+        torch.testing.assert_close(mine, other, rtol=1e-5, atol=1e-6)
+    whole.close()
+    resumed.close()

@@ -26,15 +26,16 @@ from ..torch_setup import configure_torch
 from .acting import Acting
 from .hand_over import HandOver
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("rrl.trainers.training.realtime")  # __name__ is __main__
+
+CLAIM_SECONDS = 2.0
 
 
 class _Process:
     """Builds what acts, and lets it act until the end."""
 
-    def __init__(self, hand_over: HandOver) -> None:
-        self.hand_over, self.told_to_stop = hand_over, False
-        self.learner = os.getppid()
+    def __init__(self, hand_over: HandOver, learner: int) -> None:
+        self.hand_over, self.learner, self.told_to_stop = hand_over, learner, False
         for number in (signal.SIGINT, signal.SIGHUP):
             signal.signal(number, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, self._stop)
@@ -45,7 +46,8 @@ class _Process:
         env, interface, explore = prepare(settings, environment, exploration)
         try:
             pace = _pace(settings, environment, env)
-            self.hand_over.write("interface", (interface, Authority.of(env), pace.period))
+            is_robot = hasattr(env.base_env, "pace")
+            self.hand_over.write("interface", (interface, Authority.of(env), is_robot))
             if not self._wait_for_weights():
                 return
             policy = self.hand_over.read("policy")
@@ -65,7 +67,7 @@ class _Process:
 
     def _wait_for_weights(self) -> bool:
         """Return False if there is nobody any more who would send some."""
-        while not (self.hand_over.folder / "weights.bin").is_file():
+        while not self.hand_over.has_weights():
             if self.told_to_stop or os.getppid() != self.learner:
                 return False
             time.sleep(0.01)
@@ -102,15 +104,28 @@ def _close(env: EnvBase) -> None:
         log.warning("closing: %s", fault)
 
 
-def main(folder: str) -> int:
-    """Act; return the exit status."""
-    logging.basicConfig(format="%(message)s", level=logging.INFO)
+def _claim(folder: Path) -> int:
+    """Claim the folder; a learner that looks whether somebody has may hold it for a moment."""
+    ends = time.monotonic() + CLAIM_SECONDS
+    while True:
+        try:
+            return lock(folder)
+        except BlockingIOError:
+            if time.monotonic() > ends:
+                raise
+        time.sleep(0.01)
+
+
+def main(folder: str, learner: int) -> int:
+    """Act for the learner of that process id; return the exit status."""
+    logging.basicConfig(format="%(message)s")
+    logging.getLogger("rrl").setLevel(logging.INFO)
     warnings.simplefilter("ignore")  # the run itself has said them
     hand_over = HandOver(Path(folder))
-    claimed = lock(hand_over.folder)
+    claimed = _claim(hand_over.folder)
     (hand_over.folder / "pid").write_text(str(os.getpid()))
     try:
-        _Process(hand_over).run()
+        _Process(hand_over, learner).run()
     except Exception as error:
         hand_over.write("failure", portable(error))
         log.exception("the acting process ends")
@@ -121,4 +136,4 @@ def main(folder: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1]))
+    sys.exit(main(sys.argv[1], int(sys.argv[2])))

@@ -19,6 +19,7 @@ from rrl.robot import RobotFault
 from rrl.slot_random import seed_env
 
 from ...environment import ResumableEnv
+from ...requests import Requests
 from ...settings import TrainerSettings
 from ...storage.transition_log import FOLDER, TransitionLog
 from ..collection_metrics import Authority
@@ -76,6 +77,8 @@ class Acting:
         self.thread = PolicyThread(TensorDictSequential(*modules), settings.flush_denormals)
         self.log = TransitionLog(Path(hand_over.folder) / FOLDER)
         self.authority = Authority.of(env)
+        self.requests = Requests()
+        env.listen_to(self.requests)
         self._keeps_pace = pace is not getattr(env.base_env, "pace", None)
         self._keys = _stored(env)
         self._unwritten: list[TensorDictBase] = []
@@ -97,13 +100,16 @@ class Acting:
         self._take_weights()
         back = True  # whether the robot did what it should the last time
         while not (self.is_done or self.told_to_stop()):
-            if self.hand_over.is_wanted():
+            self._hear()
+            if self.requests.paused or self.hand_over.is_wanted():
                 time.sleep(0.01)
                 continue
-            with self.hand_over.driving():
-                back = self._try_episode(back)
-            self._write()
-            self.log.sync()
+            try:
+                with self.hand_over.driving():
+                    back = self._try_episode(back)
+            finally:
+                self._write()
+                self.log.sync()
             self._take_weights()
             if not back:
                 self._sleep(self.settings.realtime.retry)
@@ -125,8 +131,7 @@ class Acting:
             if not was_fine:
                 log.warning("the robot is back; going on with a new episode")
             was_fine = True
-            if self._keeps_pace:
-                self.pace.start()
+            self.pace.start()
             self._episode(td, time.monotonic() - began)
         except RobotFault as fault:
             self._faults += 1
@@ -143,6 +148,9 @@ class Acting:
     def _episode(self, td: TensorDictBase, reset_seconds: float) -> None:
         first, self._last_command = True, None
         while not (self.is_done or self.told_to_stop()):
+            self._hear()
+            if self.requests.paused:
+                raise _Stopped
             explores = self._count >= (self.settings.controller_steps or 0)
             until = self.pace.scheduled + self.settings.realtime.budget * self.pace.period
             answer = self.thread.ask(td, explores, until)
@@ -158,6 +166,11 @@ class Acting:
                 return
             td, first, reset_seconds = step_mdp(td), False, 0.0
         raise _Stopped
+
+    def _hear(self) -> None:
+        """Hear what a person asks for. The loop sees to a pause itself: a robot does not wait."""
+        for request in self.hand_over.heard():
+            self.requests.take(request)
 
     def _late(self, td: TensorDictBase) -> TensorDictBase:
         """Return ``td`` with the action of a step that the policy has no answer for in time."""
@@ -204,8 +217,7 @@ class Acting:
         weights = self.hand_over.new_weights()
         if weights is None:
             return
-        if not self.thread.idle:
-            raise AssertionError("weights are exchanged between two inferences")
+        self.thread.wait()  # weights are exchanged between two inferences
         assign(self.policy, weights.vector)
         if weights.seed != self._weights.seed:
             seed_env(self.env.base_env, weights.seed)

@@ -10,14 +10,18 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
+from rrl.pace import prioritized
+
 from ...environment import EnvironmentFactory
+from ...loggers import metrics
+from ...requests import Request, Requests
 from ...seeds import Stream, first_seed
 from ...settings import TrainerSettings
 from ...storage.replay_store import as_stored
@@ -28,7 +32,7 @@ from ..collection_metrics import EpisodeReturns, collection_metrics
 from ..interface import Exploration
 from ..policy_vector import flatten
 from .hand_over import FOLDER, HandOver, Weights
-from .records import TIMING, cut_episodes, timing_metrics
+from .records import TIMING, cut_episodes, seconds_of, timing_metrics
 
 __all__ = ["RealTime"]
 
@@ -65,6 +69,7 @@ class RealTime(Collection):
         run_dir: Any,
     ) -> None:
         self.settings = settings
+        self.requests = Requests()  # of this process's environments: evaluations
         self._hand_over = HandOver(run_dir / FOLDER)
         self._hand_over.folder.mkdir(parents=True, exist_ok=True)
         self._recipe = settings, environment, exploration
@@ -73,11 +78,16 @@ class RealTime(Collection):
         self._seed = first_seed(Stream.TRAINING, settings.seed)
         self._returns = EpisodeReturns(1)
         self._log = TransitionLog(self._hand_over.folder / TRANSITIONS)
-        self._found = self._hand_over.is_alive()
+        self._found = self._finds_process()
         if not self._found:
             self._start()
-        self.interface, self._authority, self.period = self._wait_for("interface")
+        self.interface, self._authority, self._is_robot = self._wait_for("interface")
         self._relayed = self._end_of_messages()
+
+    def tell(self, request: Request) -> None:
+        """Pass on what a person asks for, also to the process."""
+        super().tell(request)
+        self._hand_over.tell(request)
 
     def set_policy(self, policy: TensorDictModuleBase) -> None:
         """Have the process act with ``policy``, from the first collection on."""
@@ -104,9 +114,10 @@ class RealTime(Collection):
         if bool(data[TIMING, "first"][0]):
             self._returns.reset()
         rollout = data.unsqueeze(0)
+        stored = as_stored(rollout, self.interface.kept)
         values = collection_metrics(rollout, self._authority) | self._returns.metrics(rollout)
-        values |= timing_metrics(data, env_steps)
-        return as_stored(rollout, self.interface.kept), values
+        values |= timing_metrics(data, env_steps) | metrics.clock(seconds_of(data))
+        return stored, values
 
     @property
     def can_continue(self) -> bool:
@@ -118,9 +129,12 @@ class RealTime(Collection):
         if not self._found:
             self._seed = seed
 
-    def paused(self) -> AbstractContextManager[None]:
-        """Leave the robot to somebody else, once the episode under way has ended."""
-        return self._hand_over.having_robot()
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Have the robot here while the body runs, once the episode under way has ended."""
+        priority = self.settings.realtime.priority if self._is_robot else 0
+        with self._hand_over.having_robot(), prioritized(priority):
+            yield
 
     def state_dict(self) -> dict[str, Any]:
         """Return the running returns; all else is in the process and its log."""
@@ -145,13 +159,24 @@ class RealTime(Collection):
         if self._process is not None:
             self._process.wait()
 
+    def _finds_process(self) -> bool:
+        """Return whether an earlier learner's process acts.
+
+        One that has not begun to, because its learner died before, ends by itself.
+        """
+        while self._hand_over.is_alive():
+            if self._hand_over.has_weights():
+                return True
+            time.sleep(POLL)
+        return False
+
     def _start(self) -> None:
         self._hand_over.clear()
         self._hand_over.write("recipe", self._recipe)
         paths = os.pathsep.join(filter(None, sys.path))
         with (self._hand_over.folder / "log.txt").open("ab") as messages:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", __package__, str(self._hand_over.folder)],
+                [sys.executable, "-m", __package__, str(self._hand_over.folder), str(os.getpid())],
                 stdin=subprocess.DEVNULL,
                 stdout=messages,
                 stderr=messages,
@@ -173,11 +198,8 @@ class RealTime(Collection):
 
     def _require_process(self) -> None:
         """Raise what ended the process, if it has ended."""
-        if self._process is not None:
-            ended = self._process.poll() is not None
-        else:
-            ended = not self._hand_over.is_alive()
-        if not ended:
+        started = self._process is not None and self._process.poll() is None
+        if started or self._hand_over.is_alive():
             return
         if (failure := self._hand_over.read("failure")) is not None:
             error, text = pickle.loads(failure)

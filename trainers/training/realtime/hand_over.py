@@ -10,6 +10,7 @@ Layout::
         failure.pkl      what ended the process, if it was an error
         log.txt          what the process says
         pid              of the process
+        requests.txt     what a person asks for, one name a line
         transitions/     every transition, in files that only grow
         wish, robot      locked by whoever wants the robot, and whoever has it
 
@@ -30,11 +31,15 @@ import cloudpickle
 import torch
 from torch import Tensor
 
+from ...requests import Request
 from ...storage.files import lock
 
 __all__ = ["FOLDER", "HandOver", "Weights"]
 
 FOLDER = "realtime"
+
+
+REQUESTS = "requests.txt"
 
 
 class Weights(NamedTuple):
@@ -61,6 +66,7 @@ class HandOver:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._read: tuple[int, int] | None = None
+        self._heard = 0  # bytes of requests.txt
 
     def write(self, name: str, content: Any) -> None:
         """Replace ``name.pkl``."""
@@ -73,15 +79,33 @@ class HandOver:
 
     def clear(self) -> None:
         """Remove what an earlier process left, but for its transitions."""
-        for name in ("interface.pkl", "policy.pkl", "weights.bin", "failure.pkl", "pid"):
+        for name in ("interface.pkl", "policy.pkl", "weights.bin", "failure.pkl", "pid", REQUESTS):
             (self.folder / name).unlink(missing_ok=True)
+
+    def tell(self, request: Request) -> None:
+        """Pass on what a person asks for."""
+        with (self.folder / REQUESTS).open("a", encoding="ascii") as file:
+            file.write(f"{request.name}\n")
+
+    def heard(self) -> list[Request]:
+        """Return what a person has asked for since the last call."""
+        path = self.folder / REQUESTS
+        if not path.exists() or path.stat().st_size <= self._heard:
+            return []
+        text = path.read_bytes()[self._heard :]
+        whole = text[: text.rfind(b"\n") + 1]
+        self._heard += len(whole)
+        return [Request[name] for name in whole.decode("ascii").split()]
 
     def publish(self, weights: Weights) -> None:
         """Replace the weights."""
         header = torch.tensor([weights.env_steps, weights.seed])
-        self._replace(
-            "weights.bin", header.numpy().tobytes() + weights.vector.contiguous().numpy().tobytes()
-        )
+        vector = weights.vector.to(torch.float32).contiguous()
+        self._replace("weights.bin", header.numpy().tobytes() + vector.numpy().tobytes())
+
+    def has_weights(self) -> bool:
+        """Return whether any were published since :meth:`clear`."""
+        return (self.folder / "weights.bin").is_file()
 
     def new_weights(self) -> Weights | None:
         """Return the weights if they were replaced since the last call."""

@@ -59,6 +59,11 @@ class PolicyThread:
         self.seconds = time.monotonic() - began
         return answer
 
+    def wait(self) -> None:
+        """Wait for the inference under way."""
+        if self._running is not None:
+            self._running.exception()
+
     def close(self) -> None:
         """End the thread."""
         self._pool.shutdown()

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ...loggers import metrics
 
-__all__ = ["TIMING", "Timing", "cut_episodes", "make_record", "timing_metrics"]
+__all__ = ["TIMING", "Timing", "cut_episodes", "make_record", "seconds_of", "timing_metrics"]
 
 TIMING = "timing"
 """The entry of a record that says how the step was done."""
@@ -87,6 +87,17 @@ def timing_metrics(data: TensorDictBase, first_step: int) -> dict[str, float]:
         "reset_seconds": float(timing["reset_seconds"].sum()),
     }
     return {metrics.name(metrics.REALTIME, key): value for key, value in values.items()}
+
+
+def seconds_of(data: TensorDictBase) -> dict[str, float]:
+    """Return the seconds of a round's steps, ``robot``, and of its resets.
+
+    What a step after a reset took is not recorded; it counts as the others' median.
+    """
+    within = ~data[TIMING, "first"].flatten()[1:]
+    steps = data[TIMING, "time"].flatten().diff()[within]
+    each = float(steps.median()) if len(steps) else 0.0
+    return {"robot": each * len(data), "reset": float(data[TIMING, "reset_seconds"].sum())}
 
 
 def _percentiles(name: str, values: Tensor) -> dict[str, float]:

@@ -1,0 +1,1 @@
+"""How punctual collection in wall-clock time is, and what it loses when learners die."""

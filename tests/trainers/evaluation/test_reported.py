@@ -1,0 +1,144 @@
+"""What an environment reports: reduced as it is declared, refused where it is of another kind."""
+
+from dataclasses import replace
+from functools import partial
+
+import pytest
+import torch
+from tensordict.nn import TensorDictModule
+from torchrl.data import Composite, Unbounded
+
+from rrl.trainers.evaluation.episodes import Comparison
+from rrl.trainers.evaluation.evaluator import Evaluator
+from rrl.trainers.evaluation.rollout import run_episodes, zero_residual
+from rrl.trainers.metric import Metric
+from rrl.trainers.seeds import Stream
+from rrl.trainers.settings import EvaluationSettings
+from toy_envs import PointMass
+
+
+class Reporting(PointMass):
+    """Reports its steps so far, and whether it is right of its goal; success as 0.0 or 1.0.
+
+    Args:
+        extra: More observation entries, by name, as they are.
+    """
+
+    def __init__(self, *args, extra=None, **kwargs):
+        self.__dict__["extra"] = extra or {}
+        super().__init__(*args, **kwargs)
+        batch = self.batch_size
+        spec = self.observation_spec
+        spec["success"] = Unbounded((*batch, 1))
+        spec["metrics"] = Composite(
+            clock=Unbounded((*batch, 1)),
+            right=Unbounded((*batch, 1), dtype=torch.bool),
+            shape=batch,
+        )
+        for name, value in self.extra.items():
+            spec[name] = Unbounded((*batch, *value.shape))
+        self.observation_spec = spec
+
+    def _observe(self):
+        out = super()._observe()
+        right = (self._position - self._goal)[..., :1] > 0
+        out |= {"success": out["success"].float()}
+        out |= {"metrics": {"clock": self._steps.float(), "right": right}}
+        return out | {k: v.expand(*self.batch_size, *v.shape) for k, v in self.extra.items()}
+
+
+ZERO = TensorDictModule(torch.zeros_like, in_keys=["base_action"], out_keys=["action"])
+"""The zero residual for any batch size."""
+
+
+def reporting(factory, batching="native", **arguments):
+    base = (
+        (lambda num_envs=1: Reporting([num_envs], **arguments))
+        if batching == "native"
+        else partial(Reporting, [], **arguments)
+    )
+    return replace(factory, base=base, batching=batching)
+
+
+@pytest.mark.parametrize("batching", ["native", "serial"])
+def test_metrics_are_reduced_as_declared(factory, batching):
+    values = {}
+    for how in ("min", "max", "sum", "last", "mean"):
+        declared = {"clock": Metric(unit="steps", reduce=how, limit=15.0)}
+        made = replace(reporting(factory, batching), metrics=declared)
+        evaluator = Evaluator({"one": made}, EvaluationSettings())
+        compared = evaluator.compare(ZERO, "one", Stream.FINAL, 1)
+        evaluator.close()
+        values[how] = compared.residual.metrics["clock"].item()
+        assert compared.summary()["metrics/clock_above_limit"] == float(values[how] > 15)
+        assert 0 <= compared.residual.metrics["right"].item() <= 1  # undeclared: the mean
+    assert values == {"min": 1, "max": 20, "sum": 210, "last": 20, "mean": 10.5}
+
+
+def test_the_summary_holds_every_metric_with_its_tail(factory):
+    made = reporting(factory)
+    env = made.make(4)
+    found = run_episodes(env, zero_residual(env), 4, seed=0, max_steps=50)
+    assert found.success.dtype == bool
+    record = Comparison(found, found).record()
+    for prefix in ("", "controller_"):
+        assert record["summary"][f"{prefix}metrics/clock"] == 10.5
+        assert record["summary"][f"{prefix}metrics/clock_p99"] == 10.5
+        assert record["episodes"][f"{prefix}metrics/clock"] == [10.5] * 4
+    assert set(record["episodes"]) == {
+        *("success", "controller_success", "return", "controller_return"),
+        *("metrics/clock", "metrics/right", "controller_metrics/clock", "controller_metrics/right"),
+    }
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.uint8, torch.int64])
+def test_success_may_be_a_number(factory, dtype):
+    class Numbers(PointMass):
+        def __init__(self, *args, **kwargs):
+            super().__init__(*args, **kwargs)
+            self.observation_spec["success"] = Unbounded((*self.batch_size, 1), dtype=dtype)
+
+        def _observe(self):
+            out = super()._observe()
+            return {**out, "success": out["success"].to(dtype)}
+
+    env = replace(factory, base=lambda num_envs=1: Numbers([num_envs])).make(20)
+    assert env.rollout(2)["success"].dtype == torch.bool
+    plain = factory.make(20)
+    against = TensorDictModule(
+        lambda: torch.tensor([-0.6, 0.0]).expand(20, 2), in_keys=[], out_keys=["action"]
+    )
+    found, expected = (run_episodes(e, against, 20, seed=0, max_steps=50) for e in (env, plain))
+    assert (found.success == expected.success).all()
+    assert expected.success.any()
+
+
+@pytest.mark.parametrize(
+    ("extra", "message"),
+    [
+        ({"safety": torch.zeros(1)}, "safety: expected named entries"),
+        ({"reward_terms": torch.zeros(2)}, "reward_terms: expected named entries"),
+        (
+            {"diverged": torch.zeros(2)},
+            r"diverged: expected one number a slot .*got a tensor \[2\]",
+        ),
+    ],
+)
+def test_a_reserved_entry_of_another_kind_is_refused(factory, extra, message):
+    with pytest.raises(ValueError, match=f"environment: {message}"):
+        reporting(factory, extra=extra).make(2)
+
+
+def test_a_metric_of_several_numbers_or_an_unknown_one_is_refused(factory):
+    class Vector(Reporting):
+        def __init__(self, *args, **kwargs):
+            super().__init__(*args, **kwargs)
+            shape = (*self.batch_size, 3)
+            self.observation_spec["metrics", "force"] = Unbounded(shape)
+
+    made = replace(factory, base=lambda num_envs=1: Vector([num_envs]))
+    with pytest.raises(ValueError, match=r"metrics/force: expected one number.*a tensor \[3\]"):
+        made.make(2)
+    made = replace(reporting(factory), metrics={"clocks": Metric()})
+    with pytest.raises(ValueError, match=r"writes \['clock', 'right'\], got \['clocks'\]"):
+        made.make(1)

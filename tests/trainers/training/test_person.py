@@ -1,0 +1,163 @@
+"""A person beside a run: pauses, judges, repeats and stops it, and knows what it will cost."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import pytest
+import torch
+
+from rrl.trainers.loggers import read_metrics
+from rrl.trainers.settings import AcceptanceSettings, EvaluationSettings
+from rrl.trainers.training.interruption import Interrupted
+from toy_envs import EPISODE_STEPS
+
+NO_EVALUATION = EvaluationSettings(every=0, episodes=2, final_episodes=2, slots=2)
+UNTESTED = AcceptanceSettings(enabled=False)
+
+
+@pytest.fixture
+def make(make_trainer, simulated):
+    def make(run_dir="run", **changes):
+        quiet = {"evaluation": NO_EVALUATION, "acceptance": UNTESTED}
+        return make_trainer(run_dir, environment=simulated, **{**quiet, **changes})
+
+    return make
+
+
+def at_step(trainer, number, action):
+    """Do something before the ``number``-th step of the training environment."""
+    env, steps = trainer.collection.env, [0]
+    original = env.step
+
+    def step(tensordict):
+        steps[0] += 1
+        if steps[0] == number:
+            action()
+        return original(tensordict)
+
+    object.__setattr__(env, "step", step)
+
+
+@pytest.mark.parametrize("collection", ["turn", "overlap"])
+def test_a_pause_holds_the_environment_and_changes_nothing(make, collection):
+    plain = make("plain", collection=collection)
+    plain.run()
+    plain.close()
+    trainer = make("paused", collection=collection)
+    trainer.person.pause()
+    threading.Timer(1.5, trainer.person.go_on).start()
+    start = time.monotonic()
+    trainer.run()
+    trainer.close()
+    seconds = time.monotonic() - start
+    assert seconds > 1.0
+    assert torch.equal(trainer.replay[:]["action"], plain.replay[:]["action"])
+    assert trainer.clock.seconds["robot"] < seconds - 1.0  # it did not move meanwhile
+
+
+@pytest.mark.parametrize("collection", ["turn", "overlap"])
+def test_a_run_that_is_paused_stops_when_asked(make, collection):
+    trainer = make(collection=collection, total_steps=10_000)
+    trainer.person.pause()
+    threading.Timer(0.5, trainer.person.stop).start()
+    with pytest.raises(Interrupted):
+        trainer.run()
+    trainer.close()
+    again = make(collection=collection, total_steps=10_000)
+    again.resume()
+    assert again.env_steps == trainer.env_steps
+    again.close()
+
+
+@pytest.mark.parametrize("succeeded", [True, False])
+def test_a_judgement_ends_the_episode(make, succeeded):
+    trainer = make(total_steps=20, warmup_steps=0)
+    judge = trainer.person.succeeded if succeeded else trainer.person.failed
+    at_step(trainer, 7, judge)
+    data = trainer.collection.rollout(0)
+    trainer.close()
+    done = data["next", "done"].flatten()
+    assert done.nonzero().flatten().tolist() == [6]
+    assert bool(data["next", "success"].flatten()[6]) is succeeded
+    assert not data["next", "terminated"].any()  # the value of what follows is still there
+    assert data["next", "truncated"].flatten()[6]
+
+
+def test_a_judgement_of_several_environments_at_once_is_refused(make, caplog):
+    trainer = make(num_envs=2)
+    at_step(trainer, 3, trainer.person.succeeded)
+    data = trainer.collection.rollout(0)
+    trainer.close()
+    assert not data["next", "done"][:, :-1].any()
+    assert "needs one environment at a time, these are 2" in caplog.text
+
+
+def starts(trainer, steps):
+    """First observation of every episode in so many steps."""
+    rounds = [trainer.collection.rollout(0) for _ in range(steps // EPISODE_STEPS)]
+    goal = torch.cat([data["goal"] for data in rounds], 1)[0]
+    return goal[::EPISODE_STEPS]
+
+
+def test_a_start_is_repeated(make):
+    plain = make("plain")
+    first, second, third, *_ = starts(plain, 80)
+    plain.close()
+    trainer = make("repeated")
+    at_step(trainer, EPISODE_STEPS + 5, trainer.person.repeat_start)
+    found = starts(trainer, 80)
+    trainer.close()
+    assert torch.equal(found, torch.stack([first, second, second, third]))
+
+
+def test_an_environment_without_a_state_says_that_it_cannot(make_trainer, caplog):
+    trainer = make_trainer()
+    at_step(trainer, 5, trainer.person.repeat_start)
+    trainer.collection.rollout(0)
+    trainer.close()
+    assert "does not save its state: its next start is another one" in caplog.text
+
+
+@pytest.mark.parametrize("collection", ["turn", "overlap"])
+def test_training_robot_and_reset_time_are_counted_apart(make, collection):
+    trainer = make(collection=collection, evaluation=EvaluationSettings(every=100, episodes=2))
+    trainer.run()
+    trainer.close()
+    record = read_metrics(trainer.run_dir)
+    for part in ("training", "robot", "reset"):
+        values = [value for _, value in record[f"clock/{part}"]]
+        assert values == sorted(values) and values[-1] > 0
+        assert values[-1] == pytest.approx(trainer.clock.seconds[part])
+    again = make(collection=collection, evaluation=EvaluationSettings(every=100, episodes=2))
+    again.resume()
+    assert 0 < again.clock.seconds["robot"] <= trainer.clock.seconds["robot"]
+    again.close()
+
+
+@pytest.mark.parametrize("every", [0, 100])
+@pytest.mark.parametrize("tested", [False, True])
+def test_how_many_episodes_are_played_is_said_before(make, caplog, every, tested):
+    caplog.set_level("INFO", logger="rrl")
+    shown = EvaluationSettings(every=every, episodes=4, final_episodes=6, slots=2)
+    trainer = make(
+        evaluation=shown, acceptance=AcceptanceSettings(enabled=tested, margin=0.4, episodes=10)
+    )
+    played = []
+    play = trainer.evaluator._play
+
+    def counted(policy, scenario, seed, episodes):
+        played.append((trainer.env_steps, episodes))
+        return play(policy, scenario, seed, episodes)
+
+    trainer.evaluator._play = counted
+    trainer.run()
+    trainer.close()
+    line = next(line for line in caplog.messages if "episodes on the environment" in line)
+    bound = int(line.split("; ")[1].split()[0])
+    total = sum(episodes for _, episodes in played)
+    assert "10 in training" in line
+    assert total <= bound - 10 <= total + 2 * 3 + (20 * 2 + 6 if tested else 0)
+    if every == 0:
+        assert all(env_steps == 200 for env_steps, _ in played), "nothing is evaluated before"

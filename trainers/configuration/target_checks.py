@@ -1,0 +1,131 @@
+"""Arguments of what a configuration names by ``_target_``, compared with what it takes."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import torch
+from pydantic import ValidationError
+from torchrl.data import Bounded
+
+from ..training.learner import build, locate
+from .schema import Target, explain
+
+__all__ = ["Config", "Problems", "check_targets", "entries"]
+
+Config = Mapping[str, Any]
+Problems = Iterator[str]
+
+
+def check_targets(config: Config, built: dict[str, Any]) -> Problems:
+    """Check every target's arguments; build those that are classes and cheap, into ``built``."""
+    env, algorithm = config["env"], config["algorithm"]
+    spec = Bounded(-1.0, 1.0, (1, 1), dtype=torch.float32)
+    interface = {"inputs": {"observation": 1}, "action_size": 1}
+    interface["episode_steps"] = env["max_episode_steps"]
+    nodes: list[tuple[str, Target, Config]] = [
+        ("controller", config["controller"], {}),
+        ("algorithm.agent", algorithm["agent"], interface),
+        ("algorithm.exploration", algorithm["exploration"], {"spec": spec}),
+    ]
+    groups = {"disturbance": config.get("disturbance"), "safety": config.get("safety")}
+    groups |= {"operator": config.get("operator")}
+    groups |= {"env.sensing": env.get("sensing"), "logger": config.get("logger")}
+    for group, members in groups.items():
+        nodes += [(f"{group}.{name}", n, {}) for name, n in (members or {}).items() if n]
+    for path, node, given in nodes:
+        yield from _check_build(path, node, given, built)
+    for path, overrides in {
+        "env.base": {},
+        **{f"env.scenarios.{name}": o or {} for name, o in env["scenarios"].items()},
+    }.items():
+        yield from _check_environment(path, {**env["base"], **overrides})
+    if env.get("renderer"):
+        yield from _check_arguments("env.renderer", env["renderer"], 2)
+
+
+def _check_build(path: str, node: Target, given: Config, built: dict[str, Any]) -> Problems:
+    """Check a node's arguments, and their values by building it, unless it is a function.
+
+    A function may read earlier runs or play episodes: only its signature is compared.
+    """
+    for key, value in node.items():
+        if isinstance(value, Mapping) and "_target_" in value:
+            yield from _check_arguments(f"{path}.{key}", dict(value), None)
+    found = list(_check_arguments(path, node, given))
+    yield from found
+    if found or not inspect.isclass(locate(node["_target_"])):
+        return
+    try:
+        built[path] = build(node)(**given)
+    except ValidationError as error:
+        yield from explain(error, path)
+    except Exception as error:  # a target may say in any way that it does not like its arguments
+        yield f"{path}: {_text(error)}"
+
+
+def _check_environment(path: str, node: Target) -> Problems:
+    """Check an environment's arguments by signature, and by ``check_arguments`` if it has one."""
+    found = list(_check_arguments(path, node, {"num_envs": 1}))
+    yield from found
+    if found:
+        return
+    try:
+        entries(node)
+    except Exception as error:
+        yield f"{path}: {_text(error)}"
+
+
+def entries(base: Target) -> dict[str, int] | None:
+    """Return the observation entries' sizes, if the environment tells them unbuilt."""
+    tell = getattr(locate(base["_target_"]), "check_arguments", None)
+    arguments = {key: value for key, value in base.items() if key != "_target_"}
+    return None if tell is None else dict(tell(**arguments))
+
+
+def _check_arguments(path: str, node: Target, given: Config | int | None) -> Problems:
+    """Compare a node with its target's signature.
+
+    Args:
+        path: Where the node stands.
+        node: The node.
+        given: Arguments that others supply: by name, the first so many, or None: all that lack.
+    """
+    target = node.get("_target_")
+    if not isinstance(target, str):
+        yield f"{path}: expected _target_: package.module.name, got {target!r}"
+        return
+    try:
+        parameters = _parameters(locate(target))
+    except (ValueError, TypeError) as error:
+        yield f"{path}: {error}"
+        return
+    names = [n for n, p in parameters.items() if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)]
+    supplied = set(names[:given]) if isinstance(given, int) else set(given or ())
+    takes = [n for n in names if n not in supplied]
+    if not any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
+        for key in sorted(set(node) - set(names) - {"_target_"}):
+            yield f"{path}: {target} does not take {key!r}; it takes {', '.join(takes)}"
+    for name in takes if given is not None else ():
+        if parameters[name].default is inspect.Parameter.empty and name not in node:
+            yield f"{path}: {target} needs {name!r}, got {sorted(set(node) - {'_target_'})}"
+
+
+def _parameters(target: Any) -> dict[str, inspect.Parameter]:
+    """Return a target's parameters; an agent's ``**settings`` are fields of its ``Settings``."""
+    parameters = dict(inspect.signature(target).parameters)
+    settings = getattr(target, "Settings", None)
+    if settings is None:
+        return parameters
+    kept = {n: p for n, p in parameters.items() if p.kind is not p.VAR_KEYWORD}
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    fields = [*settings.model_fields, "symmetry", "episode_steps", "critic_inputs"]
+    return kept | {n: inspect.Parameter(n, keyword, default=None) for n in fields}
+
+
+def _text(error: Exception) -> str:
+    """Return an error's text on one line."""
+    text = str(error.args[0]) if isinstance(error, KeyError) and error.args else str(error)
+    return " ".join(text.split()) or type(error).__name__

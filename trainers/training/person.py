@@ -1,0 +1,72 @@
+"""The person beside a run."""
+
+from __future__ import annotations
+
+import logging
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from ..requests import Request
+from .interruption import Interruption
+
+__all__ = ["Person"]
+
+log = logging.getLogger(__name__)
+
+
+class Person:
+    """What a person may ask of a run, from any thread.
+
+    Args:
+        tell: Passes a request to whatever plays.
+        interruption: Stops the run.
+    """
+
+    def __init__(self, tell: Callable[[Request], None], interruption: Interruption) -> None:
+        self._tell, self._interruption = tell, interruption
+        self.paused = False
+        interruption.when_asked.append(self._release)
+
+    def pause(self) -> None:
+        """Let the environment stand still before its next step, until :meth:`go_on`."""
+        self.paused = True
+        self._ask(Request.PAUSE)
+
+    def go_on(self) -> None:
+        """End a pause."""
+        self.paused = False
+        self._ask(Request.GO_ON)
+
+    def stop(self) -> None:
+        """Finish this round, save and end, as Ctrl-C does; a pause ends too."""
+        self._interruption.ask(signal.SIGINT)
+
+    def succeeded(self) -> None:
+        """End the episode after the step under way, as a success."""
+        self._ask(Request.SUCCEEDED)
+
+    def failed(self) -> None:
+        """End the episode after the step under way, as a failure."""
+        self._ask(Request.FAILED)
+
+    def repeat_start(self) -> None:
+        """Begin the next episode as this one began."""
+        self._ask(Request.REPEAT)
+
+    @contextmanager
+    def putting_back(self, put_back: Callable[[], None]) -> Iterator[None]:
+        """Call ``put_back`` if a signal ends the process at once while the body runs."""
+        self._interruption.at_once.append(put_back)
+        try:
+            yield
+        finally:
+            self._interruption.at_once.remove(put_back)
+
+    def _ask(self, request: Request) -> None:
+        log.info("a person: %s", request.value)
+        self._tell(request)
+
+    def _release(self) -> None:
+        self.paused = False
+        self._tell(Request.GO_ON)

@@ -1,0 +1,64 @@
+"""When a run evaluates, and how many episodes it will play, said before the first one."""
+
+from __future__ import annotations
+
+import logging
+
+from ..evaluation.evaluator import Evaluator
+from ..evaluation.frozen import FEW
+from ..settings import TrainerSettings
+from .acceptance import Acceptance
+
+__all__ = ["announce", "checkpoint_due", "episodes_ahead", "evaluation_due"]
+
+log = logging.getLogger(__name__)
+
+
+def announce(
+    settings: TrainerSettings, evaluator: Evaluator, acceptance: Acceptance, env_steps: int
+) -> None:
+    """Say how many episodes a run plays from ``env_steps`` on, at most."""
+    ahead = episodes_ahead(settings, evaluator, acceptance, env_steps)
+    parts = ", ".join(f"{count} {what}" for what, count in ahead.items() if count)
+    log.info("episodes on the environment: %s; %d in all", parts, sum(ahead.values()))
+    acceptance.announce(env_steps)
+
+
+def episodes_ahead(
+    settings: TrainerSettings, evaluator: Evaluator, acceptance: Acceptance, env_steps: int
+) -> dict[str, int]:
+    """Return how many episodes a run plays from ``env_steps`` on, by what they are for.
+
+    Each is a bound but that of training: there an episode may end before its time limit.
+    """
+    shown, scenarios = settings.evaluation, len(evaluator.scenarios)
+    steps = evaluator.scenarios[evaluator.followed].max_episode_steps
+    rounds = range(env_steps, settings.total_steps, settings.steps_per_round)
+    evaluations = sum(evaluation_due(settings, t + settings.steps_per_round) for t in rounds)
+    evaluations += env_steps == 0 and settings.evaluation.every > 0
+    # The controller plays each set once; a few episodes of each scenario are played twice, to see
+    # whether they are frozen; at the end there may be an accepted policy beside the latest one.
+    players = 3 if acceptance.settings.enabled else 2
+    followed = (evaluations + 1) * shown.episodes if evaluations else 0
+    return {
+        "in training": -(-(settings.total_steps - env_steps) // steps),
+        "in evaluations": followed,
+        "at most in tests of policies": acceptance.episodes_ahead(env_steps),
+        "at the end": scenarios * (players * shown.final_episodes + 2 * FEW),
+    }
+
+
+def evaluation_due(settings: TrainerSettings, env_steps: int) -> bool:
+    """Return whether the followed episodes are played after ``env_steps`` of training.
+
+    At the end they are played too, where what is handed over depends on it.
+    """
+    ends = settings.acceptance.enabled and env_steps >= settings.total_steps
+    every = settings.evaluation.every
+    return ends or (every > 0 and env_steps % every == 0)
+
+
+def checkpoint_due(settings: TrainerSettings, env_steps: int) -> bool:
+    """Return whether the run is saved after ``env_steps`` of training."""
+    every = settings.checkpoint.every
+    return every > 0 and env_steps % every == 0
