@@ -48,7 +48,13 @@ def load(monkeypatch):
     return load_example
 
 
-@pytest.mark.parametrize("name", TRAINED)
+COMPILES_LONG = [pytest.mark.slow, pytest.mark.timeout(1200)]  # convolutions, on a busy machine
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=COMPILES_LONG if name == "pixels" else ()) for name in TRAINED],
+)
 def test_example_trains(name, load, tmp_path):
     module = load(name)
     module.EnvironmentFactory = partial(
