@@ -5,6 +5,7 @@ and a control step whose pictures are drawn by a thread, half of the slots at a 
 other half's physics run:
 
     python -m benchmarks.camera --slots 1 8 --steps 150
+    python -m benchmarks.camera --strip docs/figures/camera.png # what the policy sees
 """
 
 from __future__ import annotations
@@ -14,14 +15,18 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
+import imageio.v3 as iio
 import numpy as np
 import torch
 from tensordict import TensorDict
 
+from rrl.controllers import ProportionalController
 from rrl.envs import InsertionEnv, InsertionPixelsEnv
 from rrl.envs.opengl import find_backend
 
 HEADER = ("slots", "no camera", "with camera", "a frame", "share of the step", "drawn in a thread")
+MOMENTS = (0, 3, 6, 9, 12, 25)
+"""Control steps of the pictures of a strip."""
 Step = Callable[[], object]
 
 
@@ -95,13 +100,36 @@ def row(slots: int, size: int, steps: int) -> list[str]:
     return [str(slots), *cells]
 
 
+def strip(out: str, size: int) -> None:
+    """Draw one episode of the controller: as it is, with the lamp moved, and the camera shifted."""
+    controller = ProportionalController(gain=0.5, clip=0.5, unit=0.02)
+    disturbances = [{}, {"light_shift": (1.0, 1.0, 0.0)}, {"camera_shift": (0.02, 0.0, 0.0)}]
+    rows = []
+    for disturbance in disturbances:
+        env = InsertionPixelsEnv(seed=3, picture_size=size, place_range=(0.0, 0.03), **disturbance)
+        observation, seen = env.reset(), []
+        for step in range(env.config.episode_length):
+            if step in MOMENTS:
+                seen.append(observation["pixels"][0].numpy())
+            action = controller.act(observation)
+            observation = env.step(TensorDict({"action": action}, env.batch_size))["next"]
+        rows.append(np.concatenate(seen, axis=1))
+        env.close()
+    picture = np.concatenate(rows, axis=0)
+    iio.imwrite(out, picture.repeat(3, axis=0).repeat(3, axis=1))
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--slots", type=int, nargs="+", default=[1, 8], help="batch sizes")
     parser.add_argument("--size", type=int, default=64, help="pixels")
     parser.add_argument("--steps", type=int, default=150, help="control steps of each")
+    parser.add_argument("--strip", help="a PNG to draw instead")
     options = parser.parse_args()
+    if options.strip:
+        strip(options.strip, options.size)
+        return
     torch.set_num_threads(1)
     print(f"{find_backend()}, {options.size} x {options.size} pixels, median of {options.steps}\n")
     print(f"| {' | '.join(HEADER)} |\n|{'---|' * len(HEADER)}")

@@ -52,6 +52,10 @@ def blocks(language, documents=DOCUMENTS):
             yield pytest.param(found[1], id=f"{document.relative_to(ROOT)}:{line}")
 
 
+TASKS = [*blocks("python", [ROOT / "docs/your_task.md"])]
+"""How to train, and tasks to train on."""
+
+
 def commands():
     """Every shell command of every document."""
     for block in blocks("sh"):
@@ -91,9 +95,8 @@ class Robot:
 
 @pytest.mark.parametrize("snippet", [*blocks("python")])
 @pytest.mark.filterwarnings("ignore:::(?!rrl)")  # the gallery's packages warn of one another
-def test_python_runs(snippet, folder, tmp_path):
-    for module in re.findall(r"from rrl.envs.gallery import (\w+)", snippet):
-        pytest.importorskip(EXTRAS[module], exc_type=ImportError)
+def test_python_runs(snippet, folder):
+    skip_without_packages(snippet)
     user_has = {
         "base": PointMass([1]),
         "controller": ProportionalController("end_effector_position", gain=1.0),
@@ -104,17 +107,24 @@ def test_python_runs(snippet, folder, tmp_path):
     exec(compile(snippet, "snippet", "exec"), names)
     if "env" in names:
         assert names["env"].rollout(2)["base_action"].shape[-1] > 0
-    if "environment" in names:
-        check_played(names["environment"], tmp_path)
 
 
-def check_played(environment, folder):
+def skip_without_packages(snippet):
+    for module in re.findall(r"from rrl.envs.gallery import (\w+)", snippet):
+        pytest.importorskip(EXTRAS[module], exc_type=ImportError)
+
+
+@pytest.mark.parametrize("snippet", TASKS[1:])
+@pytest.mark.filterwarnings("ignore:::(?!rrl)")
+def test_a_task_is_played(snippet, tmp_path):
     """The document's first snippet plays an episode of the controller; nothing is learned."""
-    environment = replace(environment, max_episode_steps=10)  # of an evaluation
+    skip_without_packages(snippet)
     names = {}
-    exec(next(blocks("python", [ROOT / "docs/your_task.md"])).values[0], names)
+    for each in (TASKS[0].values[0], snippet):
+        exec(compile(each, "snippet", "exec"), names)
+    environment = replace(names["environment"], max_episode_steps=10)  # of an evaluation
     few = {"every": 0, "episodes": 1, "final_episodes": 1}
-    summary = names["train"](environment, folder, total_steps=0, evaluation=few)
+    summary = names["train"](environment, tmp_path, total_steps=0, evaluation=few)
     assert summary["return"] == summary["controller_return"]
 
 
@@ -124,7 +134,7 @@ def lines_of_the_user(snippet):
     return [line for line in lines if line and not line.startswith(("import ", "from "))]
 
 
-@pytest.mark.parametrize("snippet", [*blocks("python", [ROOT / "docs/your_task.md"])])
+@pytest.mark.parametrize("snippet", TASKS)
 def test_twelve_lines_are_enough_for_a_task(snippet):
     assert len(lines_of_the_user(snippet)) <= 12
     assert "class" not in snippet

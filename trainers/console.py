@@ -92,7 +92,7 @@ class DurableStream(io.TextIOBase):
         try:
             self._stream.write(text)
         except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: within a signal
-            self._go_on_without(error)
+            self._go_on_without(error, text)
         return len(text)
 
     def flush(self) -> None:
@@ -102,8 +102,11 @@ class DurableStream(io.TextIOBase):
         except (OSError, ValueError, RuntimeError) as error:
             self._go_on_without(error)
 
-    def _go_on_without(self, error: Exception) -> None:
-        """Let the stream's file descriptor, and with it all that is buffered, end in the file."""
+    def _go_on_without(self, error: Exception, text: str = "") -> None:
+        """Let the stream's file descriptor, and with it all that is buffered, end in the file.
+
+        ``text`` is what could not be written; with PYTHONUNBUFFERED it is not in the buffer.
+        """
         if isinstance(error, RuntimeError):
             return
         try:
@@ -111,6 +114,8 @@ class DurableStream(io.TextIOBase):
                 file.write(f"the output cannot be written ({error}); it goes on here\n")
                 file.flush()
                 os.dup2(file.fileno(), self._stream.fileno())
+            if getattr(self._stream, "write_through", False):
+                self._stream.write(text)
             self._stream.flush()
         except (OSError, ValueError):
             with suppress(OSError, ValueError):  # what is left in its buffer must not fail at exit

@@ -5,12 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import torch
 from torchrl.data import Composite, TensorSpec
 from torchrl.data.tensor_specs import NonTensor
 
 from rrl.keys import ACTION, DIVERGED, METRICS, REWARD_TERMS, SAFETY, SUCCESS
 
 __all__ = ["check_action", "check_number", "check_reported"]
+
+FLOATING = (torch.float16, torch.float32, torch.float64)
+INTEGERS = (torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64)
+NUMBERS = (torch.bool, *INTEGERS, *FLOATING)
 
 
 def check_action(spec: Composite) -> None:
@@ -43,14 +48,19 @@ def check_action(spec: Composite) -> None:
 
 
 def check_number(name: str, spec: TensorSpec) -> None:
-    """Refuse an entry that holds no numbers.
+    """Refuse an entry that holds no numbers, or such as buffer and disk cannot hold.
 
     Raises:
-        TypeError: If it holds text or other objects, or further entries.
+        TypeError: If it holds text or other objects, or further entries, or such numbers.
     """
     if isinstance(spec, (Composite, NonTensor)):
         kind = "further entries" if isinstance(spec, Composite) else "text or other objects"
         raise TypeError(f"{name}: expected numbers, got {kind}")
+    if spec.dtype not in NUMBERS:
+        raise TypeError(
+            f"{name}: expected bool, uint8, int8 to int64 or float16 to float64, got "
+            f"{spec.dtype}; convert it with torchrl.envs.DTypeCastTransform"
+        )
 
 
 def check_reported(spec: Composite, batch_dims: int, declared: Mapping[str, Any]) -> None:
@@ -72,8 +82,9 @@ def check_reported(spec: Composite, batch_dims: int, declared: Mapping[str, Any]
         leaves |= {f"{group}/{name}": leaf for name, leaf in entries.items()}
     for name, leaf in leaves.items():
         shape = list(leaf.shape[batch_dims:])
-        if isinstance(leaf, Composite) or leaf.shape[batch_dims:].numel() != 1:
-            got = "a nested entry" if isinstance(leaf, Composite) else f"a tensor {shape}"
+        kinds = {Composite: "a nested entry", NonTensor: "text or another object"}
+        got = next((k for kind, k in kinds.items() if isinstance(leaf, kind)), f"a tensor {shape}")
+        if not got.startswith("a tensor") or leaf.shape[batch_dims:].numel() != 1:
             raise ValueError(
                 f"environment: {name}: expected one number a slot [*batch, 1], got {got}: write "
                 "each component under its own name, or a norm"

@@ -19,7 +19,13 @@ from torchrl.envs.transforms import Compose, DoubleToFloat, DTypeCastTransform, 
 from rrl.inputs import Input
 from rrl.keys import ACTION, BASE_ACTION, DIVERGED, PREVIOUS_ACTION, SUCCESS
 from rrl.symmetry import Symmetry, as_map
-from rrl.transforms import ActionHistory, Intervention, JudgedSuccess, ResidualAction
+from rrl.transforms import (
+    ActionHistory,
+    FiniteAction,
+    Intervention,
+    JudgedSuccess,
+    ResidualAction,
+)
 
 from .entry_checks import check_action, check_reported
 from .input_entries import as_inputs, read_inputs
@@ -127,7 +133,8 @@ class EnvironmentFactory:
             knows; None: the same. Critics are not needed where the policy acts.
         disturbances: Make the transforms of the executed action (control noise).
         sensing: Make the transforms of the observation entries (camera noise, latency).
-        safety: Make the transforms that limit what reaches the environment.
+        safety: Make the transforms that limit what reaches the environment; by default no command
+            that is not a number does.
         residual_scale: Authority of the residual, in half ranges of the action, one number or one
             for each dimension.
         batching: ``native`` for an environment with a batch size of its own, ``serial`` to run
@@ -152,7 +159,7 @@ class EnvironmentFactory:
     critic_inputs: Mapping[str, Input] | Sequence[str] | None = None
     disturbances: Sequence[Callable[[], Transform]] = ()
     sensing: Sequence[Callable[[], Transform]] = ()
-    safety: Sequence[Callable[[], Transform]] = ()
+    safety: Sequence[Callable[[], Transform]] = (FiniteAction,)
     residual_scale: float | Sequence[float] = 0.5
     batching: Batching = "native"
     max_episode_steps: int = 1000

@@ -39,8 +39,8 @@ def read_inputs(what: str, wanted: dict[str, Input], env: EnvBase) -> dict[str, 
     keys = list(spec.keys(True, True))
     if missing := [name for name in wanted if name not in keys]:
         raise KeyError(
-            f"{what}: expected entries of the environment, which are {sorted(map(str, keys))}, "
-            f"got {missing[0]!r}"
+            f"{what}: expected entries of the environment, which are "
+            f"{', '.join(sorted(map(str, keys)))}, got {missing[0]!r}"
         )
     for name in wanted:
         check_number(f"{what}.{name}", spec[name])

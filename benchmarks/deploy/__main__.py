@@ -33,7 +33,7 @@ from rrl.trainers.configuration import build as assembly
 from rrl.trainers.environment import EnvironmentFactory
 from rrl.trainers.export.folder import export_policy
 from rrl.trainers.export.robot import Robot, chain_on
-from rrl.trainers.pretrained import best_run, trained_agent
+from rrl.trainers.pretrained import best_run, trained_run
 from rrl.trainers.seeds import Stream, first_seed
 
 from .episodes import exported_episode, trainers_episode
@@ -91,10 +91,10 @@ def main() -> None:
 
 
 def of_run(run: Path) -> tuple[Any, Any]:
-    """Return configuration and policy of a run."""
+    """Return a run's configuration, and the policy that it hands over."""
     path = best_run(run)
     config = yaml.safe_load((path / "config.yaml").read_text())
-    return config, trained_agent(config, path)[0].policy
+    return config, trained_run(config, path).handed_over.policy
 
 
 def with_random_weights() -> tuple[Any, Any]:

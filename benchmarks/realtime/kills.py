@@ -15,8 +15,9 @@ from rrl.trainers.training.realtime.hand_over import HandOver
 from .plants import plant, training
 
 RATE, STEPS = 20, 10_000_000
-LONGEST_LIFE = 8.0
-"""Seconds from a learner's start to its death, at most; it needs some of them to begin."""
+LONGEST_LIFE, LONGEST_START = 4.0, 300.0
+"""Seconds until a learner dies, at most: three of four after they have given the first weights, the others after their
+process has begun; and how long one may take to begin."""
 
 
 def kill_learners(out: Path, kills: int, seed: int) -> dict[str, float]:
@@ -26,23 +27,32 @@ def kill_learners(out: Path, kills: int, seed: int) -> dict[str, float]:
     out.mkdir(parents=True)
     address, rng = f"ipc://{out}/plant", random.Random(seed)
     with plant(address, RATE):
-        alive, rounds = 0, 0
-        for _ in range(kills):
+        alive = 0
+        for kill in range(kills):
             child = start_learner(out, address)
-            time.sleep(rng.uniform(0.5, LONGEST_LIFE))
+            if kill % 4 != 3:
+                wait_for_weights(out)
+            time.sleep(rng.uniform(0.0, LONGEST_LIFE))
             os.kill(child, signal.SIGKILL)
             os.waitpid(child, 0)
             alive += HandOver(out / "run/realtime").is_alive()
         child = start_learner(out, address)
-        learner, acted = logs(out)
-        behind = acted.refresh()
-        while learner.refresh() < min(behind, 400):
-            time.sleep(0.5)
-        time.sleep(5.0)
+        wait_for_weights(out)
+        time.sleep(LONGEST_LIFE)
         os.kill(child, signal.SIGTERM)
         os.waitpid(child, 0)
-        rounds = learner.refresh()
-    return count(out) | {"acting process alive after a kill": alive, "taken by learners": rounds}
+    return {"kills that the acting process survived": alive, **count(out)}
+
+
+def wait_for_weights(out: Path) -> None:
+    """Wait until a learner gives weights."""
+    hand_over = HandOver(out / "run/realtime")
+    hand_over.new_weights()
+    ends = time.monotonic() + LONGEST_START
+    while hand_over.new_weights() is None:
+        if time.monotonic() > ends:
+            raise SystemExit(f"no learner began: see {out / 'output.txt'}")
+        time.sleep(0.02)
 
 
 def start_learner(out: Path, address: str) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import torch
@@ -18,16 +19,17 @@ def measure(out: Path, rate: int, seconds: float) -> dict[str, float]:
     out.mkdir(parents=True)
     steps = round(seconds * rate / 50) * 50
     address = f"ipc://{out}/plant"
-    with plant(address, rate):
-        command = [
-            sys.executable,
-            "-m",
-            "rrl.trainers",
-            "train",
-            *training(out / "run", address, rate, steps),
-        ]
-        subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
     log = TransitionLog(out / "run/realtime/transitions")
+    with plant(address, rate):
+        arguments = training(out / "run", address, rate, steps)
+        command = [sys.executable, "-m", "rrl.trainers", "train", *arguments]
+        learner = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL)
+        while log.refresh() < steps and learner.poll() is None:
+            time.sleep(0.5)
+        learner.kill()  # what it has not learned from does not matter here
+        learner.wait()
+    if log.count < steps:
+        raise SystemExit(f"expected {steps} steps, got {log.count}: the training has ended")
     timing = log.read(0, log.count)[0]["timing"][200:]  # while the learner learns
     rows: dict[str, float] = {"steps": len(timing)}
     for name, values in {

@@ -1,4 +1,4 @@
-"""The studies fit today's configuration, and every contender still trains."""
+"""Benchmarks fit today's code: studies, contenders, the exported policy beside the trainer's chain."""
 
 import json
 import subprocess
@@ -25,6 +25,16 @@ def test_a_study_fits_the_configuration(study):
     assert len({point.key for point in points}) == len(points), "two arms are the same"
     for point in points:
         build.check(point.config)
+
+
+def test_an_exported_policy_is_measured_beside_the_trainers_chain():
+    options = ["--rates", "50", "--seconds", "0.2", "--episodes", "1"]
+    command = [sys.executable, "-W", "ignore", "-m", "benchmarks.deploy", *options]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    rows = [line.split("|")[1].strip() for line in done.stdout.splitlines() if line]
+    assert [row for row in rows if row == "50 Hz"] == ["50 Hz"] * 3
+    assert rows.count("policy.onnx") == 2
 
 
 @pytest.mark.slow

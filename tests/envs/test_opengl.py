@@ -82,6 +82,23 @@ def test_pixel_observables_and_mujocos_renderer_choose_a_backend_later() -> None
     assert "no pixels" in output or output.endswith("pixels True\nmujoco (24, 32, 3)\n")
 
 
+def test_a_camera_touches_opengl_with_its_first_picture_and_ends_quietly() -> None:
+    camera = """
+import sys
+import rrl.envs as e
+env = e.InsertionPixelsEnv()
+print([name for name in sys.modules if name.split(".")[0] in ("OpenGL", "glfw")])
+try:
+    print("seen", env.reset()["pixels"].float().std().item() > 20)
+except e.RenderingUnavailable as error:
+    print("unavailable", error)
+"""
+    for backend in ("egl", "osmesa", "glfw"):
+        said = run(camera, MUJOCO_GL=backend)  # nothing on stderr, though nobody closed it
+        assert said.startswith("[]\n")
+        assert said.endswith("seen True\n") or "expected a backend that renders" in said
+
+
 def test_mujoco_that_is_imported_before_renders_too() -> None:
     output = run("import mujoco\n" + TRAIN + RENDER, PATH=os.environ["PATH"])
     assert "rendered True" in output or "unavailable" in output

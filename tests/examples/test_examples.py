@@ -19,6 +19,7 @@ TRAINED = [
     "gymnasium_pd",
     "integral_controller",
     "parallel_envs",
+    "pixels",
     "targets_and_deltas",
 ]
 TINY = {

@@ -64,3 +64,44 @@ def test_text_as_an_input_is_refused_by_name(make_trainer, factory):
     environment = factory(partial(Machine, entries), ["position", "instruction"])
     with pytest.raises((TypeError, ValueError), match=r"inputs\.instruction: expected .*, got"):
         make_trainer(environment).run()
+
+
+@pytest.mark.parametrize("dtype", [torch.bfloat16, torch.uint16])
+def test_numbers_that_cannot_be_stored_are_refused_by_name(make_trainer, factory, dtype):
+    environment = factory(partial(Machine, {"position": Unbounded((2,), dtype=dtype)}))
+    with pytest.raises(TypeError, match=rf"inputs\.position: expected .*got {dtype}"):
+        make_trainer(environment)
+
+
+def test_names_that_are_the_same_but_for_nesting(check_run, factory):
+    entries = {key: Unbounded((2,)) for key in ("arm/x", ("arm", "x"), "arm.x", "[0]")}
+    _, _, stored = check_run(factory(partial(Simulator, entries), list(entries)), True)
+    assert {("arm", "x"), "arm/x"} <= set(stored.keys(True, True))
+
+
+def image(*shape):
+    return {"image": Bounded(0, 255, shape, dtype=torch.uint8)}
+
+
+def test_a_buffer_takes_no_more_than_the_run_makes(check_run, factory):
+    """Fifty million transitions of these would be 60 GB."""
+    environment = factory(partial(Simulator, image(30, 40)), ["image"])
+    check_run(environment, True, buffer_capacity=50_000_000)
+
+
+@pytest.mark.parametrize("overlap", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_a_buffer_that_does_not_fit_into_memory_is_refused_at_once(
+    make_trainer, factory, tmp_path, overlap
+):
+    environment = factory(partial(Machine, image(480, 640, 3)), ["image"])
+    many = {
+        "total_steps": 10**9,
+        "buffer_capacity": 10**9,
+        "collection": "overlap" if overlap else "turn",
+    }
+    expected = r"trainer\.buffer_capacity: expected .* the memory of cpu, .* GB, got 1000000000"
+    with pytest.raises(
+        ValueError, match=rf"{expected} of 921\.\d kB each, 9216\d\d\.\d GB; keep fewer"
+    ):
+        make_trainer(environment, **many)
+    assert not list((tmp_path / "run").rglob("*.*"))

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs import EnvBase
@@ -18,7 +18,7 @@ __all__ = ["FEW", "explanation", "replay_difference"]
 
 FEW = 3
 """How many episodes are played twice."""
-Trace = list[tuple[Mapping[str, NDArray[np.float64]], NDArray[np.bool_]]]
+Trace = list[tuple[Mapping[NestedKey, NDArray[np.float64]], NDArray[np.bool_]]]
 """Of every step one number for each entry and slot, ``[slots]``, and the slots that still run."""
 
 
@@ -80,10 +80,10 @@ def _trace(env: EnvBase, policy: TensorDictModuleBase, seed: int, max_steps: int
         )
 
 
-def _checksums(td: TensorDictBase, slots: int) -> dict[str, NDArray[np.float64]]:
+def _checksums(td: TensorDictBase, slots: int) -> dict[NestedKey, NDArray[np.float64]]:
     """Return a weighted mean of every entry, ``[slots]``: images would fill the memory."""
-    found = {}
-    for key, value in td.flatten_keys("/").items():
+    found: dict[NestedKey, NDArray[np.float64]] = {}
+    for key, value in td.items(True, True):
         if isinstance(value, Tensor):
             rows = value.reshape(slots, -1).double()
             weights = torch.linspace(1, 2, rows.shape[1], dtype=torch.float64)
@@ -91,7 +91,7 @@ def _checksums(td: TensorDictBase, slots: int) -> dict[str, NDArray[np.float64]]
     return found
 
 
-def _first_difference(first: Trace, second: Trace) -> tuple[int, int, str] | None:
+def _first_difference(first: Trace, second: Trace) -> tuple[int, int, NestedKey] | None:
     """Return step, slot and entry of the first difference beyond rounding."""
     for step, ((before, running), (again, runs)) in enumerate(zip(first, second, strict=False)):
         for entry, values in before.items():

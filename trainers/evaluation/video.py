@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import imageio.v3 as iio
@@ -15,10 +17,11 @@ from tensordict.nn import TensorDictModuleBase
 
 from rrl.keys import REWARD, SUCCESS
 
-from ..environment import EnvironmentFactory
+from ..environment import EnvironmentFactory, Input
+from .camera_views import beside, camera_views
 from .rollout import isolated_generators, rollout, zero_residual
 
-__all__ = ["Renderer", "choose_episode", "record", "render_comparison"]
+__all__ = ["Recording", "Renderer", "choose_episode", "record", "render_comparison"]
 
 Renderer = Callable[..., np.ndarray]
 """``renderer(base_env, states, width=..., height=...)`` gives uint8 frames ``[T, h, w, 3]``."""
@@ -61,6 +64,8 @@ def render_comparison(
 ) -> Path:
     """Play one frozen episode under the controller alone and under the residual, and film both.
 
+    What the policy's cameras see stands beside the scene.
+
     Args:
         environment: The scenario.
         policy: The residual policy.
@@ -77,11 +82,12 @@ def render_comparison(
     for title, run_policy in (("controller alone", None), ("controller + residual", policy)):
         env = environment.make(1)
         chosen = run_policy or zero_residual(env)
-        states, outcomes = record(env, chosen, seed, environment.max_episode_steps)
+        inputs = environment.read_inputs(env)
+        played = record(env, chosen, seed, environment.max_episode_steps, inputs)
         size = {"width": settings["width"], "height": settings["height"]}
         with isolated_generators(seed):
-            frames = renderer(env.base_env, states, **size)
-        halves.append(_label(frames, title, outcomes))
+            frames = renderer(env.base_env, played.states, **size)
+        halves.append(_label(beside(frames, played.views), title, played.outcomes))
         env.close()
     frames = _side_by_side(halves)
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -91,23 +97,38 @@ def render_comparison(
     return out
 
 
-def record(
-    env: Any, policy: TensorDictModuleBase, seed: int, max_steps: int
-) -> tuple[list[np.ndarray], list[Outcome]]:
-    """Play one episode; return the physics states and outcomes ``[T + 1]``.
+@dataclass
+class Recording:
+    """One episode, ``[T + 1]`` each.
 
-    An outcome is whether the state is a success, or the return so far where no success is reported.
+    Attributes:
+        states: Physics states.
+        outcomes: Whether the state is a success, or the return so far where none is reported.
+        views: Pictures of the policy's cameras.
     """
-    states: list[np.ndarray] = []
-    outcomes: list[Outcome] = []
-    total = 0.0
+
+    states: list[np.ndarray] = field(default_factory=list)
+    outcomes: list[Outcome] = field(default_factory=list)
+    views: list[list[np.ndarray]] = field(default_factory=list)
+
+
+def record(
+    env: Any,
+    policy: TensorDictModuleBase,
+    seed: int,
+    max_steps: int,
+    inputs: Mapping[str, Input] = MappingProxyType({}),
+) -> Recording:
+    """Play one episode; ``inputs`` are the policy's, of which images are kept."""
+    played, total = Recording(), 0.0
     with isolated_generators(seed):
         for td, _ in rollout(env, policy, seed, max_steps):
-            states.append(np.array(env.base_env.physics_state()))
+            played.states.append(np.array(env.base_env.physics_state()))
+            played.views.append(camera_views(td, inputs))
             total += float(td.get(REWARD, torch.zeros(1)).sum())
             solved = td.get(SUCCESS, None)
-            outcomes.append(total if solved is None else bool(solved.any()))
-    return states, outcomes
+            played.outcomes.append(total if solved is None else bool(solved.any()))
+    return played
 
 
 def _label(frames: np.ndarray, title: str, outcomes: Sequence[Outcome]) -> np.ndarray:

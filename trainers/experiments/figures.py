@@ -200,8 +200,7 @@ def _label(experiment: Experiment, outcome: Outcome) -> str:
 
 def _band(axis: Axes, outcome: Outcome, entry: str, unit: float, color: str, label: str) -> None:
     curve = outcome.curve(entry)
-    episodes = int(outcome.point.config["trainer"]["evaluation"]["episodes"])
-    if band := curve.band(episodes if entry == "success" else None):
+    if band := curve.band(outcome.followed_episodes if entry == "success" else None):
         low, high = (unit * bound for bound in band)
         axis.fill_between(curve.steps, low, high, color=color, alpha=0.18, linewidth=0)
     axis.plot(curve.steps, unit * curve.mean, color=color, lw=2, label=label)

@@ -77,6 +77,11 @@ class Outcome:
         """Frozen episodes of each scenario in the final evaluation."""
         return len(self.runs[0].results[self.followed]["episodes"]["return"])
 
+    @property
+    def followed_episodes(self) -> int:
+        """Frozen episodes of an evaluation during training."""
+        return int(self.point.config["trainer"]["evaluation"]["episodes"])
+
     def final(self, entry: str, scenario: str | None = None) -> Floats:
         """Return one entry of the final evaluation's summary, by seed ``[S]``."""
         return np.array([run.summary(scenario)[entry] for run in self.runs], dtype=float)

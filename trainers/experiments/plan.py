@@ -154,6 +154,7 @@ def _points_of(experiment: Experiment, settings: Settings, compose: Compose) -> 
             raise ValueError(
                 f"{experiment.name}: expected trainer.evaluation.every above 0 for curves, got 0"
             )
+        _check_steps(experiment, config["trainer"])
         key, seeds = _key(config, used), tuple(range(experiment.seeds or scale.seeds))
         return Point(experiment.name, arm, value, key, overrides, config, seeds, used, shown)
 
@@ -165,6 +166,16 @@ def _points_of(experiment: Experiment, settings: Settings, compose: Compose) -> 
         point(arm, o, value, True) for value in values for arm, o in experiment.all_arms.items()
     ]
     return [*sources.values(), *arms]
+
+
+def _check_steps(experiment: Experiment, trainer: Mapping[str, Any]) -> None:
+    every, total = trainer["evaluation"]["every"], trainer["total_steps"]
+    for at in experiment.evaluated_at:
+        if not every or at % every or at > total:
+            raise ValueError(
+                f"{experiment.name}.evaluated_at: expected multiples of trainer.evaluation.every "
+                f"({every}) up to trainer.total_steps ({total}), got {at}"
+            )
 
 
 def _key(config: Mapping[str, Any], sources: Mapping[str, Point]) -> str:

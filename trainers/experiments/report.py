@@ -15,7 +15,7 @@ from .outcomes import Finding, Findings
 from .plan import command
 from .spec import Experiment, Settings
 from .standing import HEADER, notes, standing_row
-from .tables import final_rows, overall_iqm, steps_rows, success_rows
+from .tables import final_rows, followed_rows, overall_iqm, steps_rows, success_rows
 
 __all__ = ["write_report"]
 
@@ -79,7 +79,11 @@ def _experiment(page: Page, experiment: Experiment, finding: Finding, figure: Pa
         page.table(*final_rows(experiment, finding))
     if experiment.figure == "curves" and finding.outcomes[0].follows("success"):
         page.table(*steps_rows(finding))
-    if finding.outcomes[0].knows("success") and experiment.figure in ("table", "sweep"):
+    if experiment.evaluated_at:
+        page.table(*followed_rows(experiment, finding))
+    if finding.outcomes[0].knows("success") and (
+        experiment.figure in ("table", "sweep") or len(finding.outcomes[0].scenarios) > 1
+    ):
         page.table(*success_rows(experiment, finding))
     for arm in finding.arms if experiment.sweep else ():
         outcomes = finding.arm(arm)

@@ -56,6 +56,7 @@ class Experiment(_Section):
             is a task of its own, with its own controller.
         by_name: Whether it is left out where no experiment is named.
         seeds: How many, instead of the scale's number.
+        evaluated_at: Environment steps whose evaluations become a table.
         runs_of: Another experiment whose runs these are.
         overrides: Overrides of ``rrl train``, for every run.
         sources: Runs that others start from, by name: ``key=run:NAME`` in an arm becomes the
@@ -74,6 +75,7 @@ class Experiment(_Section):
     figure: Literal["curves", "sweep", "table", "spread", "tasks"]
     by_name: bool = False
     seeds: Positive | None = None
+    evaluated_at: tuple[Positive, ...] = ()
     runs_of: str | None = None
     overrides: Overrides = ()
     sources: dict[PlainName, Overrides] = {}

@@ -10,7 +10,14 @@ from ..evaluation.statistics import iqm, iqm_interval, mean_interval, success_in
 from .outcomes import Finding, Outcome
 from .spec import Experiment
 
-__all__ = ["final_rows", "interval_of", "overall_iqm", "steps_rows", "success_rows"]
+__all__ = [
+    "final_rows",
+    "followed_rows",
+    "interval_of",
+    "overall_iqm",
+    "steps_rows",
+    "success_rows",
+]
 
 Table = tuple[list[str], list[list[str]]]
 """Header and rows."""
@@ -43,6 +50,24 @@ def final_rows(experiment: Experiment, finding: Finding) -> Table:
         header += [f"{entry}: mean [95 % CI]", f"{entry}: IQM [bootstrap 95 %]"]
         header += [f"controller's {entry}"]
     return header, [_final_row(outcome, bool(setting)) for outcome in finding.outcomes]
+
+
+def followed_rows(experiment: Experiment, finding: Finding) -> Table:
+    """Return the successes of every arm at the steps that the experiment names, over seeds."""
+    header = ["arm", *(f"success after {at} steps [%]" for at in experiment.evaluated_at)]
+    return header, [
+        [outcome.point.arm, *_followed(outcome, experiment.evaluated_at)]
+        for outcome in finding.outcomes
+        if outcome.follows("success")
+    ]
+
+
+def _followed(outcome: Outcome, steps: Sequence[int]) -> list[str]:
+    found = outcome.curve("success")
+    band = found.band(outcome.followed_episodes)
+    assert band is not None
+    columns = (100.0 * np.array([found.mean, *band]))[:, np.searchsorted(found.steps, steps)]
+    return [f"{mean:.0f} {_interval((low, high), 1.0)}" for mean, low, high in columns.T]
 
 
 def steps_rows(finding: Finding) -> Table:

@@ -10,6 +10,7 @@ import torch
 
 __all__ = ["memory_bytes", "require_room"]
 
+UNITS = {1e3: "kB", 1e6: "MB", 1e9: "GB"}
 CGROUP = Path("/sys/fs/cgroup/memory.max")
 """Where a container's own limit stands."""
 
@@ -36,8 +37,8 @@ def require_room(run_dir: Path, transitions: int, size: int, device: str, on_dis
         if count * size > room:
             raise ValueError(
                 f"trainer.buffer_capacity: expected transitions that fit into {place}, "
-                f"{room / 1e9:.1f} GB, got {transitions} of {size / 1e3:.1f} kB each, "
-                f"{count * size / 1e9:.1f} GB; keep fewer, or let the policy read less"
+                f"{_text(room)}, got {transitions} of {_text(size)} each, "
+                f"{_text(count * size)}; keep fewer, or let the policy read less"
             )
 
 
@@ -49,3 +50,11 @@ def memory_bytes(device: str) -> int:
     if CGROUP.is_file() and (text := CGROUP.read_text(encoding="utf-8").strip()).isdigit():
         limits.append(int(text))
     return min(limits)
+
+
+def _text(size: float) -> str:
+    """Return a number of bytes with its unit."""
+    if size < 1e3:
+        return f"{size:.0f} B"
+    factor, unit = next(pair for pair in UNITS.items() if size < 1e3 * pair[0] or pair[1] == "GB")
+    return f"{size / factor:.1f} {unit}"

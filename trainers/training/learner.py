@@ -13,8 +13,8 @@ from torch import Tensor
 
 from rrl.algorithms import Agent
 
+from ..defaults import default_config
 from ..environment import EnvironmentFactory
-from ..settings import default_config
 
 __all__ = ["LearnerGenerator", "build", "default_agent", "default_exploration", "locate"]
 

@@ -26,6 +26,19 @@ def test_points_are_arms_times_settings(points):
     assert len({p.key for p in found}) == 2
 
 
+@pytest.mark.parametrize(("steps", "fits"), [([100, 200], True), ([150], False), ([300], False)])
+def test_a_table_asks_for_steps_that_are_evaluated(points, folders, steps, fits):
+    content = {**EXPERIMENT, "evaluated_at": steps}
+    write(folders[0] / "experiment/at.yaml", content)
+    if fits:
+        assert points("at")
+    else:
+        with pytest.raises(
+            ValueError, match=rf"at.evaluated_at: .*\(100\) .*\(200\), got {steps[0]}"
+        ):
+            points("at")
+
+
 def test_every_change_is_made_on_every_task(points, folders):
     tasks = {"still": ["env.base.drift=0.0"], "drifting": []}
     changes = {"the default": [], "short": ["trainer.n_step=1"]}
@@ -182,7 +195,7 @@ def test_every_experiment_is_made_of_valid_runs(scale, source):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["gallery", "ablation"])
+@pytest.mark.parametrize("name", ["gallery", "ablation", "pixels"])
 def test_other_peoples_tasks_are_made_of_valid_runs(name):
     points = paper_points("quick", [name])
     assert len({point.key for point in points}) == len(points)
@@ -197,3 +210,17 @@ def test_an_experiment_that_has_to_be_named_is_left_out_otherwise_and_sets_its_o
     write(folders[0] / "experiment/apart.yaml", apart)
     assert {p.experiment for p in points()} == {"drift"}
     assert {p.seeds for p in points("apart")} == {(0, 1, 2, 3)}
+
+
+def test_the_blind_arm_is_the_arm_with_a_camera_but_for_the_camera():
+    configs = {point.arm: point.config for point in paper_points("quick", ["pixels"])}
+    camera = {"_target_", "camera", "picture_size", "camera_shift", "light_shift"}
+    found = []
+    for arm in ("pixels", "blind"):
+        env, rest = configs[arm]["env"], {**configs[arm], "env": None, "name": None}
+        base = {key: value for key, value in env["base"].items() if key not in camera}
+        inputs = {key: entry for key, entry in env["inputs"].items() if key != "pixels"}
+        found.append((base, inputs, env["metrics"], env["action_history"], rest))
+    assert found[0] == found[1]
+    assert "blocks" not in configs["pixels"]["env"]["inputs"]
+    assert "blocks" in configs["tracked poses"]["env"]["inputs"]

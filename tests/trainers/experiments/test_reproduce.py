@@ -40,6 +40,8 @@ def test_a_failed_run_is_named_and_tried_again_while_the_others_are_kept(project
         "figure": "curves",
         "sources": {"first": ["arm=rl", "env.base.drift=0.03"]},
         "arms": arms,
+        "evaluated_at": [100, 200],
+        "overrides": ["+env.scenarios.still={drift: 0.0}"],
     }
     write(
         project / "configs/experiment/chain.yaml",
@@ -69,6 +71,8 @@ def test_a_failed_run_is_named_and_tried_again_while_the_others_are_kept(project
     page = report.read_text()
     assert "A point that drifts" in page
     assert "chain-from-it-" in page
+    assert "success after 100 steps [%]" in page and "success after 200 steps [%]" in page
+    assert "<td>still</td>" in page  # several scenarios, a row each
 
     _, said = run("chain")
     assert "6 runs, 6 of them finished; 0 environment steps to go" in said

@@ -1,5 +1,6 @@
-"""Runs that were stopped."""
+"""Runs that were stopped, and a disk of its own."""
 
+import subprocess
 from functools import partial
 
 import pytest
@@ -17,3 +18,13 @@ def stopped(make, tmp_path):
     trainer.run()
     trainer.close()
     return tmp_path / "run"
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system of 4 MB of its own."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", folder], check=True)
+    yield folder
+    subprocess.run(["umount", "--lazy", folder], check=True)

@@ -131,8 +131,7 @@ class Acting:
             if not was_fine:
                 log.warning("the robot is back; going on with a new episode")
             was_fine = True
-            if self._keeps_pace:
-                self.pace.start()
+            self.pace.start()
             self._episode(td, time.monotonic() - began)
         except RobotFault as fault:
             self._faults += 1

@@ -145,18 +145,17 @@ def learn_and_be_killed(make, until, **changes):
     assert child.exitcode == -signal.SIGKILL
 
 
-@pytest.mark.parametrize("n_step", [1, 3])
-def test_killed_learners_lose_nothing_and_the_environment_goes_on(make, tmp_path, n_step):
-    changes = {"total_steps": 400, "n_step": n_step}
+def test_killed_learners_lose_nothing_and_the_environment_goes_on(make, tmp_path):
+    changes = {"total_steps": 240, "realtime": {"period": 0.04}}
     run_dir = tmp_path / "run"
-    for until in (60, 100, 180):
+    for until in (60, 100):
         learn_and_be_killed(make, until, **changes)
         before = len(acted(run_dir))
-        assert HandOver(run_dir / "realtime").is_alive() or before == 400
+        assert HandOver(run_dir / "realtime").is_alive() or before == 240
         time.sleep(0.2)
-        assert len(acted(run_dir)) > before or before == 400
+        assert len(acted(run_dir)) > before or before == 240
     trainer = learn(make, **changes)
-    assert trainer.env_steps == 400
+    assert trainer.env_steps == 240
     assert_each_once(trainer)
     times = acted(run_dir)["timing", "time"].flatten()
     assert times.diff().min() > 0

@@ -1,0 +1,143 @@
+"""The output goes away or cannot show what is written: training goes on and saves."""
+
+import os
+import pty
+import signal
+import subprocess
+import time
+
+import pytest
+
+from situation_commands import LONG, RRL, SMALL, checkpoints, environment, shell, wait_for_training
+
+ASCII = {
+    "LC_ALL": "C",
+    "PYTHONUTF8": "0",
+    "PYTHONCOERCECLOCALE": "0",
+    "PYTHONIOENCODING": "",
+}
+REDIRECTED = {
+    "a reader that leaves": "{ rrl train $SMALL hydra.run.dir=run; echo $? > rc; } | head -n 1",
+    "a full device": "rrl train $SMALL hydra.run.dir=run > /dev/full; echo $? > rc",
+    "all closed": "rrl train $SMALL hydra.run.dir=run <&- >&- 2>&-; echo $? > rc",
+}
+
+
+def finished(run):
+    assert checkpoints(run) == [50, 100]
+    for name in ("results.json", "report.html"):
+        assert (run / name).stat().st_size > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", REDIRECTED)
+def test_training_goes_on_without_its_output(tmp_path, how):
+    result = shell(REDIRECTED[how], tmp_path, SMALL=" ".join(SMALL))
+    assert (tmp_path / "rc").read_text() == "0\n", result.stderr
+    finished(tmp_path / "run")
+    log = tmp_path / "run/log.txt"
+    if how != "all closed":
+        text = log.read_text()
+        assert text.count("the output cannot be written") == 1
+        assert f"  {tmp_path / 'run/report.html'}\n" in text
+    assert result.stderr == b""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("folder", ["plain", "ünï→", os.fsdecode(b"caf\xe9")])
+def test_a_terminal_without_unicode(tmp_path, folder):
+    home = tmp_path / folder
+    home.mkdir()
+    script = "rrl train $SMALL && for run in outputs/*/*; do rrl evaluate run=$run; done"
+    result = shell(script, home, SMALL=" ".join(SMALL), **ASCII)
+    assert result.returncode == 0, result.stderr
+    (run,) = home.glob("outputs/*/*")
+    finished(run)
+    assert b"\n  " + os.fsencode(run / "report.html") + b"\n" in result.stdout
+    assert b"residual" in result.stdout
+    assert b"\\u2503" in result.stdout  # what frames a table elsewhere
+    assert result.stderr == b""
+
+
+def on_a_terminal(arguments, cwd, columns=40):
+    """Start a command whose output is a terminal of its own; returns process and terminal."""
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(
+        [*RRL, *arguments],
+        cwd=cwd,
+        env=environment(COLUMNS=str(columns), TERM="xterm"),
+        stdin=theirs,
+        stdout=theirs,
+        stderr=theirs,
+        start_new_session=True,
+    )
+    os.close(theirs)
+    return process, ours
+
+
+def read_all(terminal):
+    """What was printed, until the terminal's last process ends."""
+    parts = []
+    while True:
+        try:
+            part = os.read(terminal, 65536)
+        except OSError:
+            break
+        if not part:
+            break
+        parts.append(part)
+    return b"".join(parts)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_the_terminal_goes_away(tmp_path, monkeypatch, unbuffered):
+    """As when ssh loses its connection: the terminal is gone, and SIGHUP comes."""
+    monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
+    process, terminal = on_a_terminal(["train", *LONG, "hydra.run.dir=run"], tmp_path)
+    try:
+        seen = b""
+        while b"env" not in seen and not (tmp_path / "run/metrics.csv").exists():
+            seen += os.read(terminal, 65536)
+        run = tmp_path / "run"
+        while "train/reward" not in (run / "metrics.csv").read_text():
+            os.read(terminal, 65536)
+    finally:
+        os.close(terminal)
+        process.send_signal(signal.SIGHUP)
+    assert process.wait(100) == 128 + signal.SIGHUP
+    assert checkpoints(run)[-1] > 0
+    text = (run / "log.txt").read_text()
+    assert "SIGHUP: finishing this round and saving" in text
+    assert f"rrl train resume={run}" in text
+
+
+@pytest.mark.slow
+def test_nothing_to_copy_is_broken_on_a_narrow_terminal(tmp_path):
+    home = tmp_path / "a folder with a name that is longer than the terminal is wide"
+    home.mkdir()
+    process, terminal = on_a_terminal(["train", *SMALL], home, columns=30)
+    text = read_all(terminal)
+    assert process.wait(10) == 0, text
+    (run,) = home.glob("outputs/*/*")
+    for name in ("report.html", "config.yaml"):
+        assert os.fsencode(run / name) in text
+
+
+@pytest.mark.slow
+def test_below_nohup_it_stays(tmp_path):
+    command = ["nohup", *RRL, "train", *LONG, "hydra.run.dir=run"]
+    with subprocess.Popen(
+        command,
+        cwd=tmp_path,
+        env=environment(),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    ) as process:
+        run = wait_for_training(tmp_path, process)
+        process.send_signal(signal.SIGHUP)
+        time.sleep(1)
+        assert process.poll() is None
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(100) == 128 + signal.SIGTERM
+    assert checkpoints(run)[-1] > 0

@@ -1,0 +1,57 @@
+"""Disks that are full, too small, read-only, or of another kind."""
+
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from rrl.trainers.storage.files import sync
+from situation_commands import start
+
+needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="mounting a small file system needs root")
+
+
+@needs_root
+def test_a_disk_that_fills_up_within_a_checkpoint_keeps_the_one_before(make_trainer, small_disk):
+    trainer = make_trainer(small_disk / "run", total_steps=100, warmup_steps=40)
+    trainer.run()
+    free = os.statvfs(small_disk)
+    ballast = small_disk / "ballast"
+    ballast.write_bytes(bytes(free.f_bavail * free.f_frsize - 40_000))
+    trainer.counters["env_steps"] = 120
+    with pytest.raises(OSError, match="cannot write checkpoint"):
+        trainer._save()
+    trainer.close()
+    resumed = make_trainer(small_disk / "run", total_steps=100, warmup_steps=40)
+    assert resumed.resume().name == "checkpoint-000000000100"
+    resumed.close()
+
+
+@needs_root
+def test_a_read_only_folder_is_named(small_disk):
+    subprocess.run(["mount", "-o", "remount,ro", small_disk], check=True)
+    with start("train", f"hydra.run.dir={small_disk}/run", cwd=small_disk.parent) as process:
+        _, errors = process.communicate(timeout=250)
+    assert process.returncode == 2
+    assert f"{small_disk}/run: Read-only file system" in errors.decode()
+
+
+@needs_root
+def test_transitions_that_the_disk_cannot_take_are_refused_at_once(make_trainer, small_disk):
+    with pytest.raises(
+        ValueError,
+        match=r"the disk of .*/run, \d\.\d MB, got 1000000 of 46 B each, 46\.0 MB;",
+    ):
+        make_trainer(small_disk / "run", total_steps=1_000_000)
+    make_trainer(small_disk / "run", total_steps=1_000_000, buffer_capacity=10_000).close()
+
+
+def test_a_file_system_that_cannot_sync_a_folder_is_no_hindrance():
+    """Such as /proc; of a file, which would be lost, it is named."""
+    folder = Path("/proc/self")
+    with pytest.raises(OSError, match="Invalid argument"):
+        os.fsync(os.open(folder, os.O_RDONLY))
+    sync(folder)
+    with pytest.raises(OSError, match="Invalid argument: '/proc/self/status'"):
+        sync(folder / "status")
