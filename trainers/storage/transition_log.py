@@ -30,18 +30,15 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
-from tensordict import NestedKey, TensorDict, TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 
 from .files import sync, write_atomically
+from .records import CHECKSUM, Records, columns, pack, raw, record_dtype
 
 FOLDER = "transitions"
 SCHEMA = "schema.json"
-CHECKSUM = "crc32"
 VERSION = 2
 SEGMENT_BYTES = 16 * 2**20
-
-Records = NDArray[np.void]
 
 
 class TransitionLog:
@@ -76,7 +73,7 @@ class TransitionLog:
         """
         if self._dtype is None:
             self._create(transitions)
-        records = _pack(transitions, self._record)
+        records = pack(transitions, self._record)
         while len(records):
             segment, at = divmod(self.count, self._per_segment)
             part, records = np.split(records, [self._per_segment - at])
@@ -159,9 +156,9 @@ class TransitionLog:
     def _create(self, transitions: TensorDictBase) -> None:
         fields = [
             [json.loads(name), str(array.dtype), list(array.shape[1:])]
-            for name, array in sorted(_columns(transitions).items())
+            for name, array in sorted(columns(transitions).items())
         ]
-        size = _dtype(fields).itemsize
+        size = record_dtype(fields).itemsize
         schema = {
             "version": VERSION,
             "records_per_segment": max(1, self._segment_bytes // size),
@@ -177,7 +174,7 @@ class TransitionLog:
             schema: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
             version = schema["version"]
             self._per_segment = int(schema["records_per_segment"])
-            self._dtype = _dtype(schema["fields"])
+            self._dtype = record_dtype(schema["fields"])
         except (ValueError, KeyError, TypeError) as error:
             raise ValueError(f"{path} does not describe transitions: {error}") from error
         if version != VERSION:
@@ -197,7 +194,7 @@ class TransitionLog:
         """Fill in the checksums of records that go to place ``at`` of ``segment``."""
         checksum = self.checksum(self.count) if at else segment
         size = self._record.itemsize
-        data = _bytes(records)
+        data = raw(records)
         for i in range(len(records)):
             checksum = zlib.crc32(data[i * size : (i + 1) * size - 4], checksum)
             records[CHECKSUM][i] = checksum
@@ -207,7 +204,7 @@ class TransitionLog:
         if at == 0 or self._descriptor is None:
             self.close()
             self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT, 0o666)
-        data = _bytes(records)
+        data = raw(records)
         self._unsynced.add(path)
         try:
             written = 0
@@ -245,7 +242,7 @@ class TransitionLog:
 
     def _damaged(self, records: Records, first: int) -> list[int]:
         size = self._record.itemsize
-        data = _bytes(records)
+        data = raw(records)
         stored: list[int] = records[CHECKSUM].tolist()
         in_segment = first % self._per_segment
         before = self.checksum(first) if in_segment and len(records) else 0
@@ -271,43 +268,5 @@ class TransitionLog:
         return out
 
 
-def _bytes(records: Records) -> memoryview:
-    return records.view(np.uint8).reshape(-1).data
-
-
 def _number(segment: Path) -> int:
     return int(segment.stem.rpartition("_")[2])
-
-
-def _name(key: NestedKey) -> str:
-    """Return a field's name: the key as JSON, whatever characters it has."""
-    return json.dumps([key] if isinstance(key, str) else list(key))
-
-
-def _dtype(fields: list[Any]) -> np.dtype[np.void]:
-    columns = [
-        (_name(tuple(key)), np.dtype(dtype).newbyteorder("<"), tuple(shape))
-        for key, dtype, shape in fields
-    ]
-    return np.dtype([*columns, (CHECKSUM, "<u4")])
-
-
-def _columns(transitions: TensorDictBase) -> dict[str, NDArray[Any]]:
-    return {_name(k): v.cpu().numpy() for k, v in transitions.items(True, True)}
-
-
-def _pack(transitions: TensorDictBase, record: np.dtype[np.void]) -> Records:
-    columns = _columns(transitions)
-    expected = set(record.names or ()) - {CHECKSUM}
-    if columns.keys() != expected:
-        raise ValueError(f"transitions: expected {sorted(expected)}, got {sorted(columns)}")
-    records = np.zeros(len(transitions), record)
-    for name, array in columns.items():
-        wanted = record[name]
-        if array.shape[1:] != wanted.shape or array.dtype != wanted.base:
-            raise ValueError(
-                f"transition entry {name}: expected {wanted.shape} of {wanted.base}, "
-                f"got {array.shape[1:]} of {array.dtype}"
-            )
-        records[name] = array
-    return records

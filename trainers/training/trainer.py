@@ -180,19 +180,18 @@ class Trainer:
             FileExistsError, BlockingIOError: See :meth:`require_new_or_resumed`.
             FloatingPointError: If losses or parameters are not finite; the checkpoint before stays.
         """
-        settings = self.settings
         self.require_new_or_resumed()
         GlobalRNGState().load_state_dict(self._generators)
         for logger in self.loggers:
             logger.start(self.run_dir, self.config, self.env_steps)
         announce(self.settings, self.evaluator, self.acceptance, self.env_steps)
-        progress = self.progress.training(settings.total_steps, self.env_steps)
-        with self.interruption.listening(), progress, listening(self.person, settings.keys):
+        progress = self.progress.training(self.settings.total_steps, self.env_steps)
+        with self.interruption.listening(), progress, listening(self.person, self.settings.keys):
             if self.env_steps == 0:
                 self._save()
-                if settings.evaluation.every:
+                if self.settings.evaluation.every:
                     self._evaluate()
-            while self.env_steps < settings.total_steps:
+            while self.env_steps < self.settings.total_steps:
                 self._stop_if_asked()
                 self._round()
             self._save()
@@ -229,7 +228,7 @@ class Trainer:
         self.close()
 
     def _round(self) -> None:
-        values = self._recover() if self.store.pending else self._collect_and_store()
+        values = self._collect_and_store()
         self.counters["env_steps"] += self.settings.steps_per_round
         saves = checkpoint_due(self.settings, self.env_steps)
         self.collection.before_updates(self._next_round(), saves)
@@ -248,6 +247,8 @@ class Trainer:
                 self._save()
 
     def _collect_and_store(self) -> Metrics:
+        if self.store.pending:  # stored after the checkpoint that was resumed
+            return self.constraints.adapt(self.store.recover(self.settings.steps_per_round))
         with self.stopwatch("collect"):
             transitions, values = self.collection.collect(self.env_steps)
         with self.stopwatch("store"):
@@ -258,10 +259,6 @@ class Trainer:
         """Return where the next round starts, if it may be collected now."""
         ends = self.env_steps >= self.settings.total_steps or self.interruption.signal is not None
         return None if ends or self.store.pending > 0 else self.env_steps
-
-    def _recover(self) -> Metrics:
-        """Take a round from the log: it was stored after the checkpoint that was resumed."""
-        return self.constraints.adapt(self.store.recover(self.settings.steps_per_round))
 
     def _save(self) -> None:
         if not self.settings.total_steps:
