@@ -8,7 +8,7 @@ import logging
 import os
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
@@ -117,7 +117,7 @@ class CompiledUpdate:
         self._update(*tensors)  # what is made at first use is then made of real tensors
         put_back()
         try:
-            with warnings.catch_warnings(), torch.no_grad():
+            with warnings.catch_warnings(), torch.no_grad(), _torn_entries() as torn:
                 warnings.simplefilter("ignore")  # of the libraries' code
                 graph = self._trace(tensors)
                 put_back()  # what involves no tensor of the batch is not only recorded but done
@@ -127,6 +127,8 @@ class CompiledUpdate:
                 )
                 run(*arguments)  # a damaged cache shows itself here
             self._run = run
+            if torn:
+                log.warning("the compiler's cache is damaged, compiled anew; remove %s", cache)
         except Exception as error:  # whatever a compiler, its cache or a new version come up with
             self.failed = True
             reason = f"{type(error).__name__}: {str(error).strip().partition(chr(10))[0]}"
@@ -208,6 +210,25 @@ def _draw(node: Node) -> Callable[[], Tensor]:
         return torch.empty(like.shape, dtype=like.dtype, device=like.device)
 
     return partial(draw, *map(template, node.args), **kwargs)
+
+
+@contextlib.contextmanager
+def _torn_entries() -> Iterator[list[logging.LogRecord]]:
+    """Collect what PyTorch says, with a traceback each, of entries that it cannot read."""
+    torn: list[logging.LogRecord] = []
+
+    def is_other(record: logging.LogRecord) -> bool:
+        if "unable to load compiled graph" not in record.getMessage():
+            return True
+        torn.append(record)
+        return False
+
+    library = logging.getLogger("torch._inductor.codecache")
+    library.addFilter(is_other)
+    try:
+        yield torn
+    finally:
+        library.removeFilter(is_other)
 
 
 def _choose_cache() -> str:

@@ -70,6 +70,32 @@ def test_with_a_broken_compiler_the_update_runs_as_it_is_and_the_cache_is_named_
     assert said.endswith(f"if the compiler's cache is damaged, remove {cache}")
 
 
+@pytest.mark.slow
+def test_torn_entries_of_the_cache_are_said_in_one_line(tmp_path):
+    script = "import logging; logging.basicConfig()\n" + LEARN_WITHOUT_COMPILER.split("eager")[0]
+    there = {
+        "TORCHINDUCTOR_CACHE_DIR": str(tmp_path),
+        "PYTHONPATH": os.pathsep.join([str(TESTS.parent), str(TESTS)]),
+    }
+
+    def say():
+        command = [sys.executable, "-c", script.replace("k in (4, 3)", "k in (4,)")]
+        done = subprocess.run(
+            command, check=True, env=os.environ | there, capture_output=True, text=True
+        )
+        return done.stderr.splitlines()
+
+    whole = say()
+    for path in (tmp_path / "fxgraph").rglob("*"):
+        if path.is_file():
+            os.truncate(path, 20)
+    torn = [line for line in say() if line not in whole]
+    assert torn == [
+        "WARNING:rrl.algorithms.compilation:"
+        f"the compiler's cache is damaged, compiled anew; remove {tmp_path}"
+    ]
+
+
 def test_with_a_compiler_there_is_no_problem():
     assert compiler_problem() is None
 
