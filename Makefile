@@ -12,7 +12,7 @@ test: $(VENV)/installed             ## the default test suite
 	$(BIN)/pytest -m "not slow" -n 2
 
 test-slow: $(VENV)/installed        ## long training checks
-	$(BIN)/pytest -m slow
+	$(BIN)/pytest -m slow -n 2
 
 test-ray: $(VENV)/installed         ## experiments on a local Ray
 	$(BIN)/pip install --disable-pip-version-check --quiet --constraint constraints.txt --editable ".[ray]"

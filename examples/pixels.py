@@ -24,8 +24,7 @@ def make_base():
     """Return the task with a picture of 64 x 64 pixels beside its observations."""
     from dm_control import suite
 
-    size = {"height": 64, "width": 64, "camera_id": 0}
-    task = suite.load("reacher", "easy")
+    task, size = suite.load("reacher", "easy"), {"height": 64, "width": 64, "camera_id": 0}
     return DMControlWrapper(task, from_pixels=True, pixels_only=False, render_kwargs=size)
 
 

@@ -87,12 +87,21 @@ class Requests:
         if env.batch_size.numel() > 1:
             return
         if not repeats:
-            state = dict(env.state_dict())
-            self._start = copy.deepcopy(state) if _has_content(state) else None
+            self._start = _saved(env)
         elif self._start is None:
             log.warning("this environment does not save its state: its next start is another one")
         else:
             env.load_state_dict(copy.deepcopy(self._start))
+
+
+def _saved(env: EnvBase) -> dict[str, Any] | None:
+    """Return an environment's state; None if it has none, or none before its first step."""
+    try:
+        state = dict(env.state_dict())
+    except Exception as error:  # asked for by nobody so far: no reason to warn
+        log.debug("no start to repeat: %s", error)
+        return None
+    return copy.deepcopy(state) if _has_content(state) else None
 
 
 def _has_content(state: Any) -> bool:

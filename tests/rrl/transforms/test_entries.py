@@ -67,6 +67,7 @@ OBSERVERS = {
     "observation_noise_beside",
     "latency",
     "tracker",
+    "outages",
     "action_history",
     "episode_value",
     "judged_success",
