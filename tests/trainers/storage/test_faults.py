@@ -65,9 +65,7 @@ def test_sigkill_at_random_moments_loses_nothing(tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-def test_a_signal_finishes_the_round_and_saves(make_trainer, number, caplog, request):
-    previous = signal.signal(number, signal.SIG_DFL)  # under nohup SIGHUP is ignored
-    request.addfinalizer(lambda: signal.signal(number, previous))
+def test_a_signal_finishes_the_round_and_saves(make_trainer, number, caplog):
     whole = make_trainer("whole")
     whole.run()
     trainer = make_trainer()
