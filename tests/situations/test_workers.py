@@ -51,7 +51,13 @@ def test_so_it_is_where_a_second_process_collects(make_trainer, factory, tmp_pat
 
 
 class Unplugged(Failing):
-    """Raises in a reset."""
+    """Raises in a reset, and in no step."""
+
+    def _step(self, tensordict):
+        marker, self._marker = self._marker, None
+        out = super()._step(tensordict)
+        self._marker = marker
+        return out
 
     def _reset(self, tensordict=None, **kwargs):
         if self._steps >= self._at and self._marker.exists():
