@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import torch
 from tensordict import TensorDictBase
@@ -45,7 +45,8 @@ class EpisodeReturns:
         return {name: float(returns.mean())} if len(returns) else {}
 
 
-class Authority(NamedTuple):
+@dataclass(frozen=True)
+class Authority:
     """What the residual can do to the executed action, numbers ``[n]`` of the action's units.
 
     Attributes:
@@ -96,10 +97,9 @@ def collection_metrics(data: TensorDictBase, authority: Authority) -> dict[str, 
 
 
 def _shares(data: TensorDictBase, authority: Authority) -> dict[str, float]:
-    low, high, span = authority
-    residual = span * data[ACTION]
+    residual = authority.span * data[ACTION]
     base = data[BASE_ACTION]
-    clipped = (base + residual < low) | (base + residual > high)
+    clipped = (base + residual < authority.low) | (base + residual > authority.high)
     size, base_size = residual.abs().mean(), base.abs().mean()
     return {
         metrics.name(metrics.ACTION, "residual_rms"): float(residual.square().mean().sqrt()),

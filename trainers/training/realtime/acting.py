@@ -174,7 +174,7 @@ class Acting:
 
     def _late(self, td: TensorDictBase) -> TensorDictBase:
         """Return ``td`` with the action of a step that the policy has no answer for in time."""
-        rule, (_, _, span) = self.settings.realtime.late, self.authority
+        rule, span = self.settings.realtime.late, self.authority.span
         self._missed += 1
         if not self._has_been_late:
             log.warning("a policy's answer was late: %s; from now on it is counted", LATE[rule])

@@ -24,8 +24,9 @@ import fcntl
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cloudpickle
 import torch
@@ -42,7 +43,8 @@ FOLDER = "realtime"
 REQUESTS = "requests.txt"
 
 
-class Weights(NamedTuple):
+@dataclass(frozen=True)
+class Weights:
     """A policy's numbers.
 
     Attributes:
