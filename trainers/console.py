@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import ClassVar, TextIO
 
 from rich.console import Console
+from rich.segment import Segment, Segments
 
 __all__ = ["DurableStream", "Output", "durable_output"]
 
@@ -51,8 +52,9 @@ class Output(Console):
         super().__init__(stderr=stderr, file=file, width=width, **plain)  # type: ignore[arg-type]
 
     def say(self, text: object, style: str | None = None) -> None:
-        """Print a line that can be copied: a path, a command."""
-        self.print(str(text), style=style, soft_wrap=True)
+        """Print a line that can be copied, a path or a command, as it is, tabs included."""
+        line = Segment(f"{text}\n", self.get_style(style) if style else None)
+        self.print(Segments([line]), end="", soft_wrap=True)
 
 
 class DurableStream(io.TextIOBase):

@@ -72,8 +72,9 @@ def test_several_seeds_and_runs_that_start_from_others(tmp_path):
     home.mkdir()
     for arguments in (
         [*SMALL, "trainer.num_seeds=2", "hydra.run.dir=first"],
-        [*SMALL, "init_from.run=first", "hydra.run.dir=second"],
-        [*SMALL, "controller=policy", "controller.run=second", "hydra.run.dir=third"],
+        [*SMALL, "init_from.run=first/seed-0", "hydra.run.dir=second"],
+        [*SMALL, "arm=rl", "hydra.run.dir=alone"],
+        [*SMALL, "controller=policy", "controller.run=alone", "hydra.run.dir=third"],
     ):
         with start("train", *arguments, cwd=home) as process:
             _, errors = process.communicate(timeout=250)
