@@ -60,7 +60,7 @@ latency: $(VENV)/installed          ## an exported policy beside the trainer's c
 	$(BIN)/python -W ignore -m benchmarks.deploy
 
 limits: $(VENV)/installed           ## the worst commands that can be thought of, against the safety limits; goes on where it stopped
-	$(BIN)/python -W ignore -m benchmarks.limits --record outputs/limits.jsonl
+	$(BIN)/python -W ignore -m benchmarks.limits --record docs/data/limits.jsonl
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)

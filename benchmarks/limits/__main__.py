@@ -4,7 +4,7 @@ Plays episodes of full speed into table and blocks, oscillations, random command
 method has optimised for harm, through the limits of ``configs/safety``: each of them alone, and all together. Prints the
 largest value that was measured of what each promises, and fails if one is above the limit:
 
-    python -m benchmarks.limits --episodes 10000 --record outputs/limits.jsonl
+    python -m benchmarks.limits --episodes 10000 --record docs/data/limits.jsonl
 
 ``delay`` has all sensors of the limits two control steps late, ``stiff`` and ``soft`` an arm whose stiffness is a fifth
 off. Nothing ends an episode before its time. What stands in the record is not played again, so that an interrupted
