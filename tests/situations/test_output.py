@@ -55,6 +55,7 @@ def test_a_terminal_without_unicode(tmp_path, folder):
     finished(run)
     assert b"\n  " + os.fsencode(run / "report.html") + b"\n" in result.stdout
     assert b"residual" in result.stdout
+    assert b"| misaligned " in result.stdout  # tables have frames of ASCII
     assert result.stderr == b""
 
 
