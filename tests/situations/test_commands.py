@@ -1,6 +1,7 @@
 """Commands as they are typed in a hurry: side by side, swept, in a project with files of its own."""
 
 import threading
+from pathlib import Path
 
 import pytest
 import yaml
@@ -104,3 +105,8 @@ def test_no_evaluation_before_the_end(tmp_path, monkeypatch, capsys):
     steps = {int(line.split(",")[0]) for line in lines if "eval/" in line or "final/" in line}
     assert steps == {100}
     assert "0 steps  success" not in capsys.readouterr().out
+
+
+def test_a_clones_own_files_replace_nothing(monkeypatch):
+    monkeypatch.chdir(Path(__file__).parents[2])
+    assert compose_train([], None).replaced == ()

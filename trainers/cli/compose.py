@@ -179,7 +179,7 @@ def _escaped(node: Any) -> Any:
 def _replaced(choices: Mapping[str, Any]) -> tuple[Path, ...]:
     """Return the project's files that were read in the place of ours."""
     folder = ProjectConfigs.folder
-    if folder is None:
+    if folder is None or folder.resolve() == OURS.resolve():  # in a clone they are ours
         return ()
     names = [PRIMARY]
     for group, choice in choices.items():
