@@ -25,6 +25,7 @@ from rrl.transforms import (
     ControlNoise,
     EpisodeValue,
     FiniteAction,
+    FiniteObservation,
     ForceLimit,
     Intervention,
     JudgedSuccess,
@@ -151,6 +152,10 @@ def finite_action(seed: int | None) -> Transform:
     return FiniteAction()
 
 
+def finite_observation(seed: int | None) -> Transform:
+    return FiniteObservation([POSITION, "goal"])
+
+
 def action_history(seed: int | None) -> Transform:
     return ActionHistory(3, out_key=("memory", "action"))
 
@@ -211,6 +216,7 @@ CASES: dict[str, Factory] = {
         step_limit,
         force_limit,
         finite_action,
+        finite_observation,
         action_history,
         episode_value,
         judged_success,

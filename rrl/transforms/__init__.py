@@ -6,7 +6,14 @@ from rrl.transforms.episode_value import EpisodeValue
 from rrl.transforms.intervention import Intervention
 from rrl.transforms.judged_success import JudgedSuccess
 from rrl.transforms.residual_action import ResidualAction
-from rrl.transforms.safety import FiniteAction, ForceLimit, SafetyLimit, StepLimit, WorkspaceLimit
+from rrl.transforms.safety import (
+    FiniteAction,
+    FiniteObservation,
+    ForceLimit,
+    SafetyLimit,
+    StepLimit,
+    WorkspaceLimit,
+)
 from rrl.transforms.sensing import ObservationDropout, ObservationLatency, ObservationNoise
 
 __all__ = [
@@ -14,6 +21,7 @@ __all__ = [
     "ControlNoise",
     "EpisodeValue",
     "FiniteAction",
+    "FiniteObservation",
     "ForceLimit",
     "Intervention",
     "JudgedSuccess",

@@ -32,6 +32,63 @@ def test_the_robot_never_gets_it_and_it_is_counted(make_trainer, factory):
     assert found.lengths.tolist() == [6, 6]  # the episode ends with that step
 
 
+class Flaky(Robot):
+    """Its target is NaN in the fifth step of some episodes, and its reward with it."""
+
+    episodes = 0
+
+    def _reset(self, tensordict=None):
+        self.episodes += 1
+        return super()._reset(tensordict)
+
+    def _observe(self):
+        broken = (self._count == 5) & (self.episodes % 3 == 0)
+        return Machine._observe(self).set(
+            "target", torch.where(broken, torch.nan, torch.zeros(*self.batch_size, 2))
+        )
+
+    def _step(self, tensordict):
+        out = super()._step(tensordict)
+        return out.set("reward", out["reward"] + 0.0 * out["target"][..., :1])
+
+
+class FlakyController(ProportionalController):
+    """It gives NaN of its own every twentieth time."""
+
+    calls = 0
+
+    def act(self, tensordict):
+        self.calls += 1
+        return super().act(tensordict) * (torch.nan if self.calls % 20 == 0 else 1.0)
+
+
+@pytest.mark.parametrize(
+    ("robot", "controller"),
+    [(Flaky, ProportionalController), (partial(Machine, ENTRIES), FlakyController)],
+    ids=["sensor", "controller"],
+)
+@pytest.mark.parametrize("batching", ["native", "serial"])
+def test_the_policy_reads_it_and_training_goes_on(
+    make_trainer, factory, caplog, robot, controller, batching
+):
+    base = partial(robot, ENTRIES) if robot is Flaky else robot
+    environment = factory(
+        base,
+        inputs=["position", "target", "base_action"],
+        controller=partial(controller, "position", "target"),
+        batching=batching,
+    )
+    with make_trainer(environment) as trainer:
+        trainer.run()
+        stored = trainer.store.newest()
+        steps = trainer.settings.total_steps
+    assert trainer.store.log.count == steps
+    assert all(value.isfinite().all() for value in stored.values(True, True))
+    what = "target" if robot is Flaky else "base_action"
+    assert f"{what}" in caplog.text
+    assert "the episode ends" in caplog.text
+
+
 @pytest.mark.parametrize("key", ["success", ("metrics", "state")])
 def test_text_that_would_be_reported_is_refused_by_name(make_trainer, factory, key):
     environment = factory(partial(Machine, {**ENTRIES, key: NonTensor(())}))

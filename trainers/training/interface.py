@@ -14,7 +14,7 @@ from torchrl.envs.transforms import InitTracker
 from rrl.inputs import Input, channels_of
 from rrl.keys import ACTION, METRICS, SO_FAR
 from rrl.slot_random import seed_env
-from rrl.transforms import EpisodeValue
+from rrl.transforms import EpisodeValue, FiniteObservation
 
 from ..environment import EnvironmentFactory, ResumableEnv
 from ..seeds import Stream, first_seed
@@ -81,6 +81,7 @@ def prepare(
         env.append_transform(EpisodeValue(reductions))
     costs = tuple((SO_FAR, name) for name in constrained)
     interface = replace(interface_of(environment, env), costs=costs)
+    env.append_transform(FiniteObservation(interface.kept))
     size = _transition_bytes(env, interface) // settings.num_envs
     return env, replace(interface, transition_bytes=size), explore
 

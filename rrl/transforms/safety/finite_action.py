@@ -11,6 +11,7 @@ from rrl.keys import ACTION, BASE_ACTION
 from rrl.slot_masks import step_mask
 from rrl.transforms.base import ActionLimits, sibling
 from rrl.transforms.safety.base import SafetyLimit, finite
+from rrl.transforms.safety.truncation import truncate
 
 __all__ = ["FiniteAction"]
 
@@ -85,16 +86,5 @@ class FiniteAction(SafetyLimit):
         ends = tensordict.get(self._flag_key)
         if self.truncate and not self.resets_itself() and ends.any():
             mask = step_mask(tensordict, next_tensordict.batch_size)
-            _truncate(next_tensordict, ends if mask is None else ends & mask.unsqueeze(-1))
+            truncate(next_tensordict, ends if mask is None else ends & mask.unsqueeze(-1))
         return next_tensordict
-
-
-def _truncate(tensordict: TensorDictBase, ends: Tensor) -> None:
-    """End the episodes of the slots in ``ends``, bool ``[*batch, ..., 1]``."""
-    batch = tensordict.batch_size
-    for key in list(tensordict.keys(True, True)):
-        if (key if isinstance(key, str) else key[-1]) in ("done", "truncated"):
-            flag = tensordict.get(key)
-            own = ends if ends.shape == flag.shape else ends.reshape(*batch, -1).any(-1)
-            own = own.reshape(own.shape + (1,) * (flag.ndim - own.ndim))
-            tensordict.set(key, flag | own)
