@@ -41,6 +41,7 @@ TIMED = {
     "operated",
     "judged_success",
     "episode_value",
+    "finite_observation",
 }  # cases that need an order in time
 LIMITS = {"workspace_limit", "step_limit", "force_limit", "finite_action", "safe_residual"}
 RESIDUALS = {

@@ -70,6 +70,7 @@ OBSERVERS = {
     "outages",
     "action_history",
     "episode_value",
+    "finite_observation",
     "judged_success",
 }
 """Transforms that leave the action as it is, precision included."""
