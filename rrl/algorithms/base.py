@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar
 
 import torch
@@ -14,8 +14,8 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import LossModule, SoftUpdate
 from torchrl.objectives.utils import ValueEstimators
 
-from rrl.algorithms.calibration import discount, penalty_updates, reward_factor
-from rrl.algorithms.networks import EncodedNetwork, FirstOnly, last_layer
+from rrl.algorithms.calibration import derived, follow_rewards, reward_factor
+from rrl.algorithms.networks import EncodedNetwork, FirstOnly, last_layer, last_layer_name
 from rrl.algorithms.precision import single_precision
 from rrl.algorithms.readings import Readings, with_shapes
 from rrl.algorithms.settings import AgentSettings
@@ -76,8 +76,8 @@ class Agent(nn.Module, ABC):
     ) -> None:
         super().__init__()
         self.settings = self.Settings(**settings)
-        self.gamma = self._derived("gamma", discount, episode_steps)
-        self.penalty_updates = self._derived("penalty_updates", penalty_updates, episode_steps)
+        self.gamma = derived(self.settings, "gamma", episode_steps)
+        self.penalty_updates = derived(self.settings, "penalty_updates", episode_steps)
         self.is_calibrated = False
         self.register_buffer("reward_scale", torch.tensor(self.settings.reward_scale or 1.0))
         self.register_buffer("residual_weight", torch.tensor(self.settings.residual_penalty))
@@ -86,7 +86,7 @@ class Agent(nn.Module, ABC):
         self.encoders = nn.ModuleList(reading.encoder for reading in self.readings)
         self.read_keys = [reading.key for reading in self.readings]
         self.action_size, self.symmetry = action_size, symmetry
-        self.num_updates = 0
+        self.num_updates, self.n_step = 0, 1
         if symmetry is not None:
             if self.readings.learn or critic_inputs:
                 raise ValueError(
@@ -121,6 +121,7 @@ class Agent(nn.Module, ABC):
             self.settings.network(in_features=size, out_features=1).float() for _ in range(count)
         ]
         keys = [read.key, ACTION]
+        self._value_layer = last_layer_name(networks[0])
         return [
             TensorDictModule(n, in_keys=keys, out_keys=["state_action_value"]) for n in networks
         ]
@@ -173,21 +174,16 @@ class Agent(nn.Module, ABC):
         Returns:
             ``gamma``, ``reward_scale`` and, of every input that was standardized, center and scale.
         """
-        settings, inputs = self.settings, dict[NestedKey, Any]()
-        if settings.reward_scale is None:
-            rewards = transitions["next", "reward"].flatten()
-            self.reward_scale.fill_(reward_factor(rewards, self.gamma, n_step))
+        self.n_step, inputs = n_step, dict[NestedKey, Any]()
+        if self.settings.reward_scale is None:
+            self.reward_scale.fill_(self._reward_factor(transitions))
         for reading in self.readings if self.symmetry is None else ():
             inputs |= reading.calibrate(transitions)
         self.is_calibrated = True
         return {"gamma": self.gamma, "reward_scale": float(self.reward_scale), "inputs": inputs}
 
-    def _derived(self, name: str, derive: Callable[[int], Any], steps: int | None) -> Any:
-        """Return a setting, derived from the steps of an episode if it is None."""
-        value = getattr(self.settings, name)
-        if value is None and steps is None:
-            raise ValueError(f"{name}: expected a number, or episode_steps to derive it from")
-        return derive(steps) if value is None and steps is not None else value
+    def _reward_factor(self, transitions: TensorDictBase) -> float:
+        return reward_factor(transitions["next", "reward"].flatten(), self.gamma, self.n_step)
 
     # ---------------------------------------------------------------- learning
 
@@ -210,6 +206,9 @@ class Agent(nn.Module, ABC):
         """
         price = self.settings.residual_penalty
         self.residual_weight.fill_(price / (1 + self.num_updates / self.penalty_updates))
+        if self.settings.reward_scale is None and self.is_calibrated:
+            factor = self._reward_factor(batches)
+            follow_rewards(self.reward_scale, factor, self.loss, self._value_layer)
         batches = self._encoded(batches)
         if self.symmetry is not None:
             self.symmetry.reflect_transitions(batches)
@@ -292,9 +291,10 @@ class Agent(nn.Module, ABC):
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return what a checkpoint needs beyond tensors."""
-        return {"num_updates": self.num_updates, "is_calibrated": self.is_calibrated}
+        names = "num_updates", "is_calibrated", "n_step"
+        return {name: getattr(self, name) for name in names}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore :meth:`get_extra_state`."""
-        self.num_updates = state["num_updates"]
-        self.is_calibrated = state["is_calibrated"]
+        for name, value in state.items():
+            setattr(self, name, value)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from typing import Any
+
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 __all__ = [
     "VALUE_SPREAD",
+    "derived",
     "discount",
+    "follow_rewards",
     "penalty_updates",
     "reward_factor",
     "warmup_length",
@@ -19,6 +24,8 @@ NORMAL = 1.2533
 """Standard deviation over mean absolute deviation of normally distributed numbers."""
 LEAST_SHARE = 0.1
 """Rewards that hardly differ count as if they differed by this share of their size."""
+GROWTH = 1.25
+"""Rewards that have grown by this factor are scaled anew."""
 WARMUP_EPISODES = 5
 WARMUP_STEPS = 300
 WARMUP_SHARE = 0.1
@@ -77,3 +84,46 @@ def reward_factor(rewards: Tensor, gamma: float, n_step: int = 1) -> float:
     if not spread > 0:
         return 1.0
     return float(VALUE_SPREAD * (1 - gamma) / spread)
+
+
+@torch.no_grad()
+def follow_rewards(scale: Tensor, factor: float, loss: nn.Module, last_layer: str) -> None:
+    """Take a smaller factor where rewards have grown, and the critics' values with it.
+
+    A controller that always fails says nothing of what a success is worth. Values keep their
+    meaning as in Pop-Art (van Hasselt et al., 2016), by the last layer of every critic.
+
+    Args:
+        scale: What rewards are multiplied with, a scalar; changed in place.
+        factor: What :func:`reward_factor` says of rewards that were sampled now.
+        loss: Holds the critics, as TorchRL's losses do.
+        last_layer: Name of a critic's last layer.
+    """
+    before = float(scale)
+    if factor * GROWTH >= before:
+        return
+    scale.fill_(factor)
+    for name, values in loss.state_dict().items():
+        if "value_network_params" in name and name.rpartition(".")[0].endswith(f".{last_layer}"):
+            values.mul_(factor / before)
+
+
+DERIVATIONS: Mapping[str, Callable[[int], Any]] = {
+    "gamma": discount,
+    "penalty_updates": penalty_updates,
+}
+"""From the steps of an episode to a setting."""
+
+
+def derived(settings: Any, name: str, episode_steps: int | None) -> Any:
+    """Return a setting, derived from the steps of an episode if it is None.
+
+    Raises:
+        ValueError: If there is nothing to derive it from.
+    """
+    value = getattr(settings, name)
+    if value is not None:
+        return value
+    if episode_steps is None:
+        raise ValueError(f"{name}: expected a number, or episode_steps to derive it from")
+    return DERIVATIONS[name](episode_steps)

@@ -116,7 +116,20 @@ def last_layer(network: nn.Module) -> nn.Linear | Linear:
     Raises:
         ValueError: If it has none.
     """
-    linear = [module for module in network.modules() if isinstance(module, (nn.Linear, Linear))]
-    if not linear:
+    return dict(_linear_layers(network))[last_layer_name(network)]
+
+
+def last_layer_name(network: nn.Module) -> str:
+    """Return the name of the last linear layer of a network, as in its ``state_dict``.
+
+    Raises:
+        ValueError: If it has none.
+    """
+    layers = _linear_layers(network)
+    if not layers:
         raise ValueError(f"network: expected a linear output layer, got {network}")
-    return linear[-1]
+    return layers[-1][0]
+
+
+def _linear_layers(network: nn.Module) -> list[tuple[str, nn.Linear | Linear]]:
+    return [(n, m) for n, m in network.named_modules() if isinstance(m, (nn.Linear, Linear))]

@@ -31,6 +31,45 @@ def test_rewards_of_any_size_are_learned_from_alike(factor):
         torch.testing.assert_close(agents[1].loss.state_dict()[name], value, rtol=1e-3, atol=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("algorithm", "settings"), [(TD3, {}), (TD3, {"num_critics": 5}), (SAC, {}), (DDPG, {})]
+)
+def test_rewards_that_grow_are_scaled_anew_and_values_keep_their_meaning(algorithm, settings):
+    still = {"critic_lr": 1e-12, "tau": 1e-12}  # only the scale moves
+    agent = make_agent(algorithm, reward_scale=None, last_layer_bound=0.1, **still, **settings)
+    data = batches(64)
+    agent.calibrate(data.reshape(-1))
+    scale, values = float(agent.reward_scale), _values(agent, data)
+    agent.update(data)
+    assert float(agent.reward_scale) == scale  # nothing has grown
+    data["next", "reward"] *= 20
+    agent.update(data)
+    assert float(agent.reward_scale) == pytest.approx(scale / 20)
+    torch.testing.assert_close(_values(agent, data) * 20, values)
+    agent.update(batches(64))  # the largest rewards count
+    assert float(agent.reward_scale) == pytest.approx(scale / 20)
+
+
+def _values(agent, data):
+    """Values of critics and targets, ``[n, k, B]``."""
+    loss, name = agent.loss, "value_network" if isinstance(agent, DDPG) else "qvalue_network"
+    network, found = getattr(loss, name), []
+    for params in (getattr(loss, f"{name}_params"), getattr(loss, f"target_{name}_params")):
+        for one in [params] if isinstance(agent, DDPG) else params.unbind(0):
+            with one.data.to_module(network):
+                found.append(network(data.select("observation", "action"))["state_action_value"])
+    return torch.stack(found).detach()
+
+
+def test_a_scale_that_was_given_stays():
+    agent = make_agent(reward_scale=2.0)
+    data = batches(4)
+    agent.calibrate(data.reshape(-1))
+    data["next", "reward"] *= 1000
+    agent.update(data)
+    assert float(agent.reward_scale) == 2.0
+
+
 @pytest.mark.parametrize("offset", [0.0, 0.5, -0.5])
 def test_values_get_their_spread(offset):
     rewards = torch.randn(10_000) + offset
