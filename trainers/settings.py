@@ -89,10 +89,12 @@ class ConstraintSettings(_Settings):
     Attributes:
         rate: By how much a multiplier grows for an episode that needs twice its budget, and falls
             for one that needs nothing.
+        initial: The multiplier at the start.
     """
 
     section = "constraints"
     rate: Annotated[float, Field(gt=0)] = IN_YAML
+    initial: Annotated[float, Field(ge=0)] = IN_YAML
 
 
 class CheckpointSettings(_Settings):

@@ -19,18 +19,20 @@ class Multiplier:
     Args:
         budget: b, positive.
         rate: Size of a step, positive.
+        initial: lambda at the start, at least 0.
 
     Attributes:
         value: lambda.
 
     Raises:
-        ValueError: If a number is not positive.
+        ValueError: If a number is not positive, or ``initial`` is negative.
     """
 
-    def __init__(self, budget: float, rate: float) -> None:
+    def __init__(self, budget: float, rate: float, initial: float = 0.0) -> None:
         check("budget", budget, "a positive number", budget > 0)
         check("rate", rate, "a positive number", rate > 0)
-        self.budget, self.rate, self.value = float(budget), float(rate), 0.0
+        check("initial", initial, "a number of at least 0", initial >= 0)
+        self.budget, self.rate, self.value = float(budget), float(rate), float(initial)
 
     def adapt(self, sample: float) -> None:
         """Take one step."""

@@ -106,9 +106,20 @@ def measured_settings(config: Mapping[str, Any], without: Sequence[str] = ()) ->
         config: A resolved configuration.
         without: Further keys to leave out, with ``*`` for anything.
     """
-    patterns = (*NOT_MEASURED, *without)
+    given = leaves(config)
+    patterns = (*NOT_MEASURED, *_unused(given), *without)
     return {
         key: value
-        for key, value in leaves(config).items()
+        for key, value in given.items()
         if not any(fnmatchcase(key, pattern) for pattern in patterns)
     }
+
+
+def _unused(given: Mapping[str, str]) -> list[str]:
+    """Return patterns of settings of what is switched off; a new one must not make runs old."""
+    budgets = [v for k, v in given.items() if fnmatchcase(k, "env.metrics.*.budget")]
+    unused = {
+        "trainer.constraints*": all(value == "null" for value in budgets),
+        "trainer.realtime.*": given.get("trainer.collection") != '"realtime"',
+    }
+    return [pattern for pattern, off in unused.items() if off]

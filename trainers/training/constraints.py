@@ -63,8 +63,12 @@ class Constraints:
                 f"trainer.n_step: expected 1 with a budget for the last value of {last[0]}, got "
                 f"{n_step}; set it to 1, or take the metric's max or sum"
             )
-        rate = 0.0 if settings is None else settings.rate
-        self.multipliers = {name: Multiplier(budget, rate) for name, budget in kept.items()}
+        self.multipliers: dict[str, Multiplier] = {}
+        if settings is not None:
+            self.multipliers = {
+                name: Multiplier(budget, settings.rate, settings.initial)
+                for name, budget in kept.items()
+            }
 
     def adapt(self, transitions: TensorDictBase) -> dict[str, float]:
         """Let the multipliers see the episodes that end in what was stored.
