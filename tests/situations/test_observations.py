@@ -62,7 +62,7 @@ def test_text_beside_the_inputs_is_no_hindrance(check_run, factory):
 def test_text_as_an_input_is_refused_by_name(make_trainer, factory):
     entries = {"position": Unbounded((2,)), "instruction": NonTensor(())}
     environment = factory(partial(Machine, entries), ["position", "instruction"])
-    with pytest.raises((TypeError, ValueError), match=r"inputs\.instruction: expected .*, got"):
+    with pytest.raises(TypeError, match=r"inputs\.instruction: expected numbers, got text"):
         make_trainer(environment).run()
 
 

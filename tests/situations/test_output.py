@@ -1,5 +1,6 @@
 """The output goes away or cannot show what is written: training goes on and saves."""
 
+import io
 import os
 import pty
 import signal
@@ -8,6 +9,7 @@ import time
 
 import pytest
 
+from rrl.trainers.console import Output
 from situation_commands import LONG, RRL, SMALL, checkpoints, environment, shell, wait_for_training
 
 ASCII = {
@@ -27,6 +29,15 @@ def finished(run):
     assert checkpoints(run) == [50, 100]
     for name in ("results.json", "report.html"):
         assert (run / name).stat().st_size > 0
+
+
+def test_nothing_is_wrapped_where_there_is_no_terminal():
+    """A file, or a pipe to grep: a line stays a line, whatever it is printed with."""
+    file, text = io.StringIO(), "word " * 50
+    output = Output(file=file)
+    output.print(text)
+    output.say(text)
+    assert [line.rstrip() for line in file.getvalue().splitlines()] == [text.rstrip()] * 2
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from experiment_project import EXPERIMENT, write, write_project
-from rrl.trainers.cli.main import main
+from rrl.trainers.cli.main import as_path, main
 from situation_commands import LONG, SMALL, checkpoints, shell, start, wait_for_training
 
 NASTY = " lead,a[b](c){d}=e é'f\"g${x}$y%z#;@~:\\!*?&|<>` trail "
@@ -44,6 +44,13 @@ def test_every_command_takes_a_run_of_any_name(tmp_path, monkeypatch, capsys):
     shown = capsys.readouterr().out
     for path in (moved / "report.html", moved / NASTY):
         assert f"  {path}\n" in shown
+
+
+def test_a_folder_called_like_the_home_is_itself_and_else_the_home_is_meant(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert as_path("~") == Path.home().resolve()
+    (tmp_path / "~").mkdir()
+    assert as_path("~") == tmp_path / "~"
 
 
 @pytest.mark.slow

@@ -24,9 +24,11 @@ def single(length: int) -> TransformedEnv:
 
 
 LENGTHS = (4, 7)
+"""A plan has five actions, one for the reset and four for steps: of an episode of seven the last
+plan is in use when it ends."""
 KINDS = {
-    "single": lambda: single(4),
-    "batch": lambda: transformed(PointMass([3], episode_steps=4)),
+    "single": lambda: single(7),
+    "batch": lambda: transformed(PointMass([3], episode_steps=7)),
     "serial outside": lambda: transformed(
         SerialEnv(2, [partial(PointMass, seed=n, episode_steps=n) for n in LENGTHS])
     ),

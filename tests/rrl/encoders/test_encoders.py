@@ -1,5 +1,6 @@
 """Encoders: what they read as images, what they make of them, and what they refuse."""
 
+import numpy as np
 import pytest
 import torch
 from torch import nn
@@ -46,6 +47,14 @@ def test_where_the_channels_stand_makes_no_difference(batch):
     assert torch.equal(features, first(image.movedim(-1, -3), vector))
     assert torch.equal(features[..., 50:], torch.full((*batch, 2), 2.0))
     assert features[..., :50].abs().max() <= 1
+
+
+def test_center_and_scale_may_be_numbers_and_arrays_of_numpy():
+    entry = Input(loc=np.array([1.0, 2.0]), scale=np.float64(0.5), shape=(2,))
+    features = Concatenate({"vector": entry})(torch.tensor([2.0, 6.0]))
+    assert features.tolist() == [0.5, 2.0]
+    with pytest.raises(ValueError, match=r"inputs\.vector\.loc: expected 1 or 2 numbers, got 3"):
+        Concatenate({"vector": Input(loc=np.zeros(3), shape=(2,))})
 
 
 def test_numbers_beside_images_are_standardized():

@@ -110,12 +110,11 @@ class Forgetful(Line):
 class OwnsANetwork(Forgetful):
     """Parameters and buffers, but nothing of the episode."""
 
+    state_dict, load_state_dict = EnvBase.state_dict, EnvBase.load_state_dict
+
     def __init__(self):
         super().__init__()
         self.camera = nn.Sequential(nn.Linear(2, 2), nn.BatchNorm1d(2))
-
-    def state_dict(self, *args, **kwargs):
-        return EnvBase.state_dict(self, *args, **kwargs)
 
 
 class ForgetsTheTime(Line):
@@ -209,6 +208,20 @@ def test_an_environment_that_cannot_go_on_is_found_out_and_begins_a_new_episode(
     stored = run(second).replay.storage[:]
     assert len(stored) == 120
     assert torch.equal(stored["base_action"][:60], first.replay.storage[:]["base_action"])
+
+
+@pytest.mark.parametrize("base", [Forgetful, OwnsANetwork])
+def test_one_that_has_no_state_to_give_is_not_moved_to_try_it(make, base):
+    class Counting(base):
+        moves = 0
+
+        def _step(self, tensordict):
+            Counting.moves += 1
+            return super()._step(tensordict)
+
+    with make("run", of(Counting)) as trainer:
+        assert not trainer.collection.can_continue
+    assert Counting.moves == 0
 
 
 @pytest.mark.parametrize("collection", ["turn", "overlap"])
