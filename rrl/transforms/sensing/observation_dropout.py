@@ -8,16 +8,17 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from torchrl.data import Composite
 
-from rrl.checks import check, check_keys, check_whole, require
+from rrl.checks import check, check_whole, require
 from rrl.slot_masks import merge
-from rrl.transforms.base import Mask, Memory, RandomTransform
+from rrl.transforms.base import Mask, Memory
+from rrl.transforms.sensing.fault import SensingFault
 
 __all__ = ["ObservationDropout"]
 
 _LEFT = "left"
 
 
-class ObservationDropout(RandomTransform):
+class ObservationDropout(SensingFault):
     """Observations that are lost for some steps, in which the last one stays.
 
     Outside an outage one begins in every control step with a probability, the first step of an
@@ -47,13 +48,7 @@ class ObservationDropout(RandomTransform):
         seed: int | None = None,
         out_keys: Sequence[NestedKey] | None = None,
     ) -> None:
-        super().__init__(
-            seed=seed,
-            stream=f"ObservationDropout/{in_keys}",
-            in_keys=in_keys,
-            out_keys=in_keys if out_keys is None else out_keys,
-        )
-        check_keys(self, self.in_keys, self.out_keys)
+        super().__init__(in_keys, out_keys, seed)
         check("probability", probability, "a probability in [0, 1)", 0.0 <= probability < 1.0)
         self.probability = float(probability)
         self.steps = check_whole("steps", steps, 1)

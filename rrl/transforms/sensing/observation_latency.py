@@ -9,16 +9,17 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite
 
-from rrl.checks import check, check_keys, check_whole, require
+from rrl.checks import check, check_whole, require
 from rrl.slot_masks import merge
-from rrl.transforms.base import Mask, Memory, RandomTransform
+from rrl.transforms.base import Mask, Memory
+from rrl.transforms.sensing.fault import SensingFault
 
 __all__ = ["ObservationLatency"]
 
 _AGE = "age"
 
 
-class ObservationLatency(RandomTransform):
+class ObservationLatency(SensingFault):
     """Observations delivered late: the tracker's measurement of ``steps`` control steps ago.
 
     The tracker measures at an episode's first step and then every ``update_interval`` steps; each
@@ -52,13 +53,7 @@ class ObservationLatency(RandomTransform):
         seed: int | None = None,
         out_keys: Sequence[NestedKey] | None = None,
     ) -> None:
-        super().__init__(
-            seed=seed,
-            stream=f"ObservationLatency/{in_keys}",
-            in_keys=in_keys,
-            out_keys=in_keys if out_keys is None else out_keys,
-        )
-        check_keys(self, self.in_keys, self.out_keys)
+        super().__init__(in_keys, out_keys, seed)
         self.steps = check_whole("steps", steps, 0)
         self.update_interval = check_whole("update_interval", update_interval, 1)
         check("dropout", dropout, "a probability in [0, 1)", 0.0 <= dropout < 1.0)

@@ -9,13 +9,14 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
 
-from rrl.checks import check_keys, check_length, per_dimension, require
-from rrl.transforms.base import Mask, Memory, RandomTransform
+from rrl.checks import check_length, per_dimension, require
+from rrl.transforms.base import Mask, Memory
+from rrl.transforms.sensing.fault import SensingFault
 
 __all__ = ["ObservationNoise"]
 
 
-class ObservationNoise(RandomTransform):
+class ObservationNoise(SensingFault):
     """A constant bias and Gaussian noise on observations.
 
         o' = o + bias + sigma * z,  z ~ N(0, 1).
@@ -48,13 +49,7 @@ class ObservationNoise(RandomTransform):
         seed: int | None = None,
         out_keys: Sequence[NestedKey] | None = None,
     ) -> None:
-        super().__init__(
-            seed=seed,
-            stream=f"ObservationNoise/{in_keys}",
-            in_keys=in_keys,
-            out_keys=in_keys if out_keys is None else out_keys,
-        )
-        check_keys(self, self.in_keys, self.out_keys)
+        super().__init__(in_keys, out_keys, seed)
         self._set(sigma, bias)
 
     def _set(self, sigma: float | Sequence[float], bias: float | Sequence[float]) -> None:
