@@ -81,8 +81,8 @@ def test_weights_and_biases_hold_the_whole_run(trained):
     run = wandb_file.read(next(run_dir.glob("wandb/offline-run-*")))
     assert (run.run.project, run.run.job_type) == ("rrl", "residual")
     assert run.run.run_group == run_dir.name
-    assert list(run.run.tags) == ["insertion-real", "residual"]
-    assert run.run.display_name == "insertion-real-residual"
+    assert list(run.run.tags) == ["insertion-gentle", "residual"]
+    assert run.run.display_name == "insertion-gentle-residual"
     assert run.config["versions"]["torchrl"] == version("torchrl")
     assert [(m.glob_name, m.step_metric) for m in run.metrics if m.step_metric] == [
         ("*", "env_steps")
