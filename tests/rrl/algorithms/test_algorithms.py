@@ -32,14 +32,20 @@ def test_all_random_numbers_come_from_torchs_generator(algorithm, layer_norm):
     assert any(not torch.equal(v, parameters(other)[name]) for name, v in parameters(one).items())
 
 
-@each_algorithm
-def test_the_default_type_of_the_process_changes_nothing(algorithm):
+ENSEMBLE = {"num_critics": 4, "target_subset": 2}
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "arguments"),
+    [(TD3, {}), (SAC, {}), (DDPG, {}), (TD3, ENSEMBLE), (SAC, ENSEMBLE)],
+)
+def test_the_default_type_of_the_process_changes_nothing(algorithm, arguments):
     learned = []
     for default in (torch.float32, torch.float64):
         data = batches(4)
         torch.set_default_dtype(default)
         try:
-            agent = make_agent(algorithm, last_layer_bound=0.1)
+            agent = make_agent(algorithm, last_layer_bound=0.1, **arguments)
             agent.update(data)
         finally:
             torch.set_default_dtype(torch.float32)
