@@ -109,6 +109,14 @@ class Simulator(Machine):
         self._count, self._push, self._offset = state["count"], state["push"], state["offset"]
 
 
+class Instructed(Simulator):
+    """Its step reads the text that the observation before it said."""
+
+    def _step(self, tensordict):
+        assert tensordict["instruction"] == f"step {int(self._count.max())}"
+        return super()._step(tensordict)
+
+
 class Slow(Simulator):
     """One that takes its time, so that nobody can read a step before it is made."""
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torchrl.data import Binary, Bounded, NonTensor, Unbounded
 
-from situation_envs import Machine, Simulator, Slow, batched
+from situation_envs import Instructed, Machine, Simulator, Slow, batched
 
 ENTRIES = {
     "image": Bounded(0, 255, (4, 4, 3), dtype=torch.uint8),
@@ -57,6 +57,17 @@ def test_all_entries_at_once_in_a_batch(check_run, factory, batching, kind):
 def test_text_beside_the_inputs_is_no_hindrance(check_run, factory):
     entries = {"position": Unbounded((2,)), "instruction": NonTensor(())}
     check_run(factory(partial(Machine, entries)))
+
+
+@pytest.mark.parametrize("batching", ["serial", "native"])
+def test_text_that_the_next_step_reads_is_there_again(check_run, factory, batching):
+    entries = {"position": Unbounded((2,)), "instruction": NonTensor(())}
+    base, often = partial(Instructed, entries), {"every": 30}  # in the middle of an episode
+    if batching == "native":
+        environment = factory(partial(batched, base), batching=batching)
+        check_run(environment, True, num_envs=2, steps_per_collection=5, checkpoint=often)
+    else:
+        check_run(factory(base), True, steps_per_collection=10, checkpoint=often)
 
 
 def test_text_as_an_input_is_refused_by_name(make_trainer, factory):

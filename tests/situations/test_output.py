@@ -40,6 +40,21 @@ def test_nothing_is_wrapped_where_there_is_no_terminal():
     assert [line.rstrip() for line in file.getvalue().splitlines()] == [text.rstrip()] * 2
 
 
+def test_no_file_gets_the_number_of_a_closed_stream(tmp_path):
+    """A library that writes to standard output by its number does not write into a run's file."""
+    code = """
+import os
+from rrl.trainers.console import durable_output
+with durable_output(), open("file", "w"):
+    os.write(1, b"to standard output")
+    os.write(2, b"to standard error")
+    print("printed")
+"""
+    result = shell('python -c "$CODE" <&- >&- 2>&-', tmp_path, CODE=code)
+    assert result.returncode == 0
+    assert (tmp_path / "file").read_text() == ""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("how", REDIRECTED)
 def test_training_goes_on_without_its_output(tmp_path, how):

@@ -9,7 +9,6 @@ import torch
 from numpy.typing import NDArray
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torch import Tensor
 from torchrl.envs import EnvBase
 
 from .rollout import isolated_generators, rollout, whole
@@ -81,13 +80,12 @@ def _trace(env: EnvBase, policy: TensorDictModuleBase, seed: int, max_steps: int
 
 
 def _checksums(td: TensorDictBase, slots: int) -> dict[NestedKey, NDArray[np.float64]]:
-    """Return a weighted mean of every entry, ``[slots]``: images would fill the memory."""
+    """Return a weighted mean of every tensor, ``[slots]``: images would fill the memory."""
     found: dict[NestedKey, NDArray[np.float64]] = {}
-    for key, value in td.items(True, True):
-        if isinstance(value, Tensor):
-            rows = value.reshape(slots, -1).double()
-            weights = torch.linspace(1, 2, rows.shape[1], dtype=torch.float64)
-            found[key] = ((rows * weights).sum(-1) / weights.sum()).numpy()
+    for key, value in td.items(True, True):  # text is not among them
+        rows = value.reshape(slots, -1).double()
+        weights = torch.linspace(1, 2, rows.shape[1], dtype=torch.float64)
+        found[key] = ((rows * weights).sum(-1) / weights.sum()).numpy()
     return found
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from tensordict import NestedKey, TensorDictBase
+from tensordict import NestedKey, TensorDictBase, is_leaf_nontensor
 from torch import Tensor
 
 __all__ = ["from_entries", "from_plain", "to_entries", "to_plain"]
@@ -65,14 +65,15 @@ def from_plain(state: Any) -> Any:
 
 
 def to_entries(tensordict: TensorDictBase) -> Entries:
-    """Return a TensorDict's entries with their keys, whatever characters these have."""
+    """Return a TensorDict's tensors and text with their keys, whatever characters these have."""
     entries: Entries = []
-    for key in tensordict.keys(True, True):
+    for key in tensordict.keys(True, True, is_leaf=is_leaf_nontensor):
         value = tensordict.get(key)
-        if isinstance(value, Tensor):
-            entries.append((key, value))
-        else:  # text and other objects stand in TensorDicts as NonTensorData
-            entries.append((key, tensordict.get_non_tensor(key)))
+        if not isinstance(value, Tensor):  # text and other objects stand there as NonTensorData
+            value = tensordict.get_non_tensor(key)
+            if np.asarray(value).dtype.kind != "U":
+                continue
+        entries.append((key, value))
     return entries
 
 

@@ -32,6 +32,28 @@ def test_all_random_numbers_come_from_torchs_generator(algorithm, layer_norm):
     assert any(not torch.equal(v, parameters(other)[name]) for name, v in parameters(one).items())
 
 
+ENSEMBLE = {"num_critics": 4, "target_subset": 2}
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "arguments"),
+    [(TD3, {}), (SAC, {}), (DDPG, {}), (TD3, ENSEMBLE), (SAC, ENSEMBLE)],
+)
+def test_the_default_type_of_the_process_changes_nothing(algorithm, arguments):
+    learned = []
+    for default in (torch.float32, torch.float64):
+        data = batches(4)
+        torch.set_default_dtype(default)
+        try:
+            agent = make_agent(algorithm, last_layer_bound=0.1, **arguments)
+            agent.update(data)
+        finally:
+            torch.set_default_dtype(torch.float32)
+        learned.append(parameters(agent))
+    for name, value in learned[0].items():
+        assert torch.equal(value, learned[1][name]), name
+
+
 @pytest.mark.parametrize(("algorithm", "draws"), [(TD3, True), (SAC, True), (DDPG, False)])
 def test_what_is_drawn_in_an_update_changes_it(algorithm, draws):
     one, other = (make_agent(algorithm, last_layer_bound=0.1) for _ in range(2))

@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDict
 from torchrl.data import Bounded
 from torchrl.envs import TransformedEnv
-from torchrl.envs.transforms import Compose
+from torchrl.envs.transforms import Compose, DTypeCastTransform
 from torchrl.envs.utils import step_mdp
 
 from rrl.envs import InsertionEnv
@@ -64,6 +64,21 @@ def test_from_outside_the_box_only_the_way_back_is_left() -> None:
     moved = step["next", POSITION] - step[POSITION]
     torch.testing.assert_close(moved, torch.tensor([STEP_SIZE, STEP_SIZE]))
     assert step["next", "safety", "workspace"].all()
+
+
+class Single(PointMass):
+    """Takes actions in single precision alone."""
+
+    def _step(self, tensordict):
+        assert tensordict["action"].dtype == torch.float32
+        return super()._step(tensordict)
+
+
+def test_a_measurement_of_another_precision_leaves_the_actions_as_it_is() -> None:
+    cast = DTypeCastTransform(torch.float32, torch.float64, in_keys=[POSITION])
+    limit = WorkspaceLimit(**BOX, unit=STEP_SIZE)
+    records = drive(TransformedEnv(Single((4,)), Compose(cast, limit)), random_actions(8, 4, 2))
+    assert records[-1][POSITION].dtype == torch.float64
 
 
 def test_size_and_change_of_what_is_executed() -> None:

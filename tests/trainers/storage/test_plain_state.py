@@ -8,8 +8,9 @@ from collections import OrderedDict, namedtuple
 import numpy as np
 import pytest
 import torch
+from tensordict import NonTensorData, NonTensorStack, TensorDict
 
-from rrl.trainers.storage.plain_state import from_plain, to_plain
+from rrl.trainers.storage.plain_state import from_entries, from_plain, to_entries, to_plain
 
 KEPT = {
     "generator": np.random.default_rng(3).bit_generator.state,
@@ -47,6 +48,18 @@ def test_it_is_loaded_as_it_was_saved(name):
     file.seek(0)
     loaded = from_plain(torch.load(file, weights_only=True))
     assert same(dict(loaded) if isinstance(loaded, dict) else loaded, KEPT[name])
+
+
+def test_of_a_tensordict_tensors_and_text_are_kept():
+    root = TensorDict({"x": torch.ones(2, 1), "arm": {"x": torch.zeros(2)}}, [2])
+    root.set("task", NonTensorData("insert", [2])).set("arm/said", NonTensorStack("a", "b"))
+    root.set("handle", NonTensorData(pathlib.PurePosixPath("x"), [2]))
+    kept = TensorDict(from_entries(from_plain(to_plain(to_entries(root)))), [2])
+    assert set(kept.keys(True)) == set(root.keys(True)) - {"handle"}
+    assert torch.equal(kept["x"], root["x"])
+    assert torch.equal(kept["arm", "x"], root["arm", "x"])
+    assert kept["task"] == "insert"
+    assert [each["arm/said"] for each in kept] == ["a", "b"]
 
 
 def test_a_named_tuple_becomes_a_tuple():
