@@ -12,12 +12,20 @@ needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on thi
 
 
 @contextmanager
+def short_temporary_folder():
+    """Chromium puts a socket there, whose path has at most 107 characters."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TMPDIR", "/tmp")
+        yield
+
+
+@contextmanager
 def opened(path, *, dark=False, width=1200, height=900):
     """The page of a file; leaving it asserts that it logged no error and asked for nothing outside."""
     from playwright.sync_api import sync_playwright
 
     problems, requests = [], []
-    with sync_playwright() as playwright:
+    with short_temporary_folder(), sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         context = browser.new_context(
             offline=True,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -16,6 +17,11 @@ from rrl.trainers.environment import EnvironmentFactory, Input
 
 FAST = ("substeps=5", "action_scale=0.004")
 """100 Hz."""
+
+
+def an_address() -> str:
+    """An address of no other plant, in Linux's own name space: a file's path may be too long."""
+    return f"ipc://@plant-{uuid.uuid4().hex}"
 
 
 @contextmanager

@@ -5,7 +5,7 @@ import shlex
 from pathlib import Path
 
 import pytest
-from plants import plant
+from plants import an_address, plant
 
 from rrl.trainers.cli.main import main
 
@@ -34,7 +34,7 @@ def test_the_driver_makes_an_environment(capsys):
 
 @pytest.mark.slow
 def test_the_way_from_the_plant_to_the_robot(tmp_path, capsys):
-    address, run = f"ipc://{tmp_path}/plant", tmp_path / "run"
+    address, run = an_address(), tmp_path / "run"
     start, train, export = (shlex.split(block) for block in blocks("sh"))
     with plant(address, *start[3:]):
         where = [f"env.base.robot.address={address}", f"hydra.run.dir={run}"]

@@ -32,6 +32,7 @@ from .input_entries import as_inputs, read_inputs
 from .metric import Metric
 from .requests import Requests
 from .worker_errors import WorkerErrors
+from .worker_sockets import keep_sockets_short
 
 __all__ = ["Batching", "EnvironmentFactory", "Input", "ResumableEnv"]
 
@@ -279,6 +280,7 @@ class EnvironmentFactory:
             return self.base()
         if errors is None:
             return SerialEnv(num_envs, self.base)
+        keep_sockets_short()
         return ParallelEnv(num_envs, [errors.reporting(self.base, i) for i in range(num_envs)])
 
 

@@ -101,8 +101,6 @@ class Agent(nn.Module, ABC):
         """The policy's encoder."""
         return self.readings.actor.encoder
 
-    # ---------------------------------------------------------------- construction
-
     def make_actor(self, out_features: int) -> nn.Module:
         """Make the actor network, from features to ``[*batch, out_features]``."""
         network = self.settings.network(
@@ -185,8 +183,6 @@ class Agent(nn.Module, ABC):
     def _reward_factor(self, transitions: TensorDictBase) -> float:
         return reward_factor(transitions["next", "reward"].flatten(), self.gamma, self.n_step)
 
-    # ---------------------------------------------------------------- learning
-
     @property
     def compile_seconds(self) -> float:
         """Seconds that compiling updates has taken so far."""
@@ -202,19 +198,21 @@ class Agent(nn.Module, ABC):
 
         Returns:
             Means over the ``k`` updates: ``loss_critic``, ``loss_actor`` (absent while no policy
-            update was due) and what the algorithm adds.
+            update was due) and what the algorithm adds; ``reward_scale`` if it is derived.
         """
-        price = self.settings.residual_penalty
-        self.residual_weight.fill_(price / (1 + self.num_updates / self.penalty_updates))
-        if self.settings.reward_scale is None and self.is_calibrated:
-            factor = self._reward_factor(batches)
-            follow_rewards(self.reward_scale, factor, self.loss, self._value_layer)
+        fall = 1 + self.num_updates / self.penalty_updates
+        self.residual_weight.fill_(self.settings.residual_penalty / fall)
+        history: dict[str, list[Tensor]] = {}
+        if self.settings.reward_scale is None:
+            if self.is_calibrated:
+                factor = self._reward_factor(batches)
+                follow_rewards(self.reward_scale, factor, self.loss, self._value_layer)
+            history["reward_scale"] = [self.reward_scale.reshape(1).clone()]
         batches = self._encoded(batches)
         if self.symmetry is not None:
             self.symmetry.reflect_transitions(batches)
         entries = sorted(batches.items(True, True), key=lambda item: str(item[0]))
         keys, columns = tuple(k for k, _ in entries), [v.contiguous() for _, v in entries]
-        history: dict[str, list[Tensor]] = {}
         for first, steps in self._plan(len(batches)):
             part = [column[first : first + len(steps)] for column in columns]
             for name, values in self._updates(steps, keys, part).items():
@@ -286,8 +284,6 @@ class Agent(nn.Module, ABC):
             loss.actor_network_params.to_module(loss.actor_network),
         ):
             return loss.actor_network(acting)[ACTION]
-
-    # ---------------------------------------------------------------- state
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return what a checkpoint needs beyond tensors."""

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from plants import plant
+from plants import an_address, plant
 from torchrl.envs.utils import check_env_specs
 
 from rrl.envs import RobotEnv
@@ -16,8 +16,8 @@ from rrl.robot import RobotFault
 
 
 @pytest.fixture(scope="module")
-def address(tmp_path_factory):
-    where = f"ipc://{tmp_path_factory.mktemp('plant')}/socket"
+def address():
+    where = an_address()
     with plant(where):
         yield where
 
@@ -112,8 +112,8 @@ def test_a_reset_may_be_refused(env, address):
         env.reset()
 
 
-def test_a_plant_that_died_is_silent_and_a_new_one_is_found(tmp_path):
-    where = f"ipc://{tmp_path}/socket"
+def test_a_plant_that_died_is_silent_and_a_new_one_is_found():
+    where = an_address()
     with plant(where) as process:
         env = RobotEnv(partial(RemoteRobot, where, patience=0.2, reset_patience=1.0))
         td = env.reset()

@@ -104,7 +104,7 @@ def test_weights_and_biases_hold_the_whole_run(trained):
     }
     assert sections == {
         "env_steps", "train", "action", "loss", "eval", "final", "safety", "time", "media", "results",
-        "acceptance", "clock",
+        "acceptance", "clock", "constraint",
     }  # fmt: skip
 
 

@@ -5,7 +5,7 @@ import threading
 import time
 
 import pytest
-from plants import FAST, plant, plant_factory
+from plants import FAST, an_address, plant, plant_factory
 
 from rrl.envs.plant import inject
 from rrl.envs.plant.faults import KINDS
@@ -30,7 +30,7 @@ def test_the_loop_stops_says_so_once_keeps_everything_and_goes_on(
     make_trainer, tmp_path, caplog, kind
 ):
     caplog.set_level(logging.INFO)
-    address = f"ipc://{tmp_path}/socket"
+    address = an_address()
     trainer_of = {
         "environment": plant_factory(address, reset_patience=0.3),
         "collection": "realtime",
