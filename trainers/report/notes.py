@@ -62,6 +62,11 @@ def _budget(results: Results, name: str, how: Mapping[str, Any]) -> Iterator[str
 def _what_is_handed_over(steps: Sequence[int]) -> str:
     """Say what the runs hand over; 0 steps stand for the controller."""
     learned = [step for step in steps if step]
+    if len(steps) > 1 and len(learned) == len(steps):
+        return (
+            f"Handed over: a learned policy by all {len(steps)} runs, which passed the test that "
+            "it is not worse than the controller."
+        )
     if len(steps) > 1:
         return (
             f"Handed over: a learned policy by {len(learned)} of {len(steps)} runs, the controller "
