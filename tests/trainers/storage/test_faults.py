@@ -231,8 +231,14 @@ def test_a_diverged_learner_stops_with_its_last_good_checkpoint(make_trainer, se
 @pytest.mark.slow  # starting worker processes takes its time
 def test_a_dead_collection_worker_ends_the_run_and_it_is_resumed(make_trainer, factory):
     environment = replace(factory, base=partial(PointMass, []), batching="parallel")
+    before = set(multiprocessing.active_children())  # of other tests
     trainer = make_trainer(environment=environment, num_envs=2)
-    at_step(trainer, 120, lambda: os.kill(multiprocessing.active_children()[0].pid, signal.SIGKILL))
+
+    def kill_workers():
+        for worker in set(multiprocessing.active_children()) - before:
+            worker.kill()
+
+    at_step(trainer, 120, kill_workers)
     with pytest.raises(RuntimeError, match=r"worker \d dead"):
         trainer.run()
     trainer.close()
