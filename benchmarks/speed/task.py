@@ -25,6 +25,8 @@ Config = dict[str, Any]
 def configuration(overrides: list[str], algorithm: str | None = "td3") -> Config:
     """The configuration of ``rrl train`` with ``overrides``, by default with the algorithm that all libraries have."""
     chosen = [] if algorithm is None else [f"algorithm={algorithm}"]
+    if not any(override.startswith("env=") for override in overrides):
+        chosen.append("env=insertion-real")  # the others know no budgets
     return compose(["logger=[csv]", *chosen, *overrides])
 
 
