@@ -24,6 +24,7 @@ from rrl.algorithms.transfer import take_over
 from rrl.algorithms.updates import Step, Updates
 from rrl.inputs import Input
 from rrl.keys import ACTION
+from rrl.n_step import STEPS
 from rrl.symmetry import Symmetry
 
 __all__ = ["Agent"]
@@ -86,7 +87,7 @@ class Agent(nn.Module, ABC):
         self.encoders = nn.ModuleList(reading.encoder for reading in self.readings)
         self.read_keys = [reading.key for reading in self.readings]
         self.action_size, self.symmetry = action_size, symmetry
-        self.num_updates, self.n_step = 0, 1
+        self.num_updates = 0
         if symmetry is not None:
             if self.readings.learn or critic_inputs:
                 raise ValueError(
@@ -162,17 +163,16 @@ class Agent(nn.Module, ABC):
         take_over(self, other)
 
     @torch.no_grad()
-    def calibrate(self, transitions: TensorDictBase, n_step: int = 1) -> dict[str, Any]:
+    def calibrate(self, transitions: TensorDictBase) -> dict[str, Any]:
         """Derive what is not set from the first transitions, before anything is learned from them.
 
         Args:
             transitions: ``[n]``, as for :meth:`update`.
-            n_step: How many rewards each of them sums.
 
         Returns:
             ``gamma``, ``reward_scale`` and, of every input that was standardized, center and scale.
         """
-        self.n_step, inputs = n_step, dict[NestedKey, Any]()
+        inputs = dict[NestedKey, Any]()
         if self.settings.reward_scale is None:
             self.reward_scale.fill_(self._reward_factor(transitions))
         for reading in self.readings if self.symmetry is None else ():
@@ -181,7 +181,10 @@ class Agent(nn.Module, ABC):
         return {"gamma": self.gamma, "reward_scale": float(self.reward_scale), "inputs": inputs}
 
     def _reward_factor(self, transitions: TensorDictBase) -> float:
-        return reward_factor(transitions["next", "reward"].flatten(), self.gamma, self.n_step)
+        # Whether rewards are sums of several stands beside them: a successor is never told.
+        steps = transitions.get(STEPS, None)
+        n_step = 1 if steps is None else int(steps.max())
+        return reward_factor(transitions["next", "reward"].flatten(), self.gamma, n_step)
 
     @property
     def compile_seconds(self) -> float:
@@ -287,10 +290,9 @@ class Agent(nn.Module, ABC):
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return what a checkpoint needs beyond tensors."""
-        names = "num_updates", "is_calibrated", "n_step"
-        return {name: getattr(self, name) for name in names}
+        return {"num_updates": self.num_updates, "is_calibrated": self.is_calibrated}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore :meth:`get_extra_state`."""
-        for name, value in state.items():
-            setattr(self, name, value)
+        self.num_updates = state["num_updates"]
+        self.is_calibrated = state["is_calibrated"]

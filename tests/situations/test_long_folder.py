@@ -7,8 +7,6 @@ import sys
 import pytest
 
 PROGRAM = """
-from functools import partial
-
 from rrl.controllers import ZeroController
 from rrl.trainers import EnvironmentFactory
 from situation_envs import Machine

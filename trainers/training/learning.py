@@ -77,7 +77,7 @@ class Learning:
         return {metrics.name(metrics.LOSS, key): float(value) for key, value in losses.items()}
 
     def _derive(self) -> None:
-        derived = self.agent.calibrate(self.store.newest(), self.settings.n_step)
+        derived = self.agent.calibrate(self.store.newest())
         derived["warmup_steps"] = self.settings.warmup_steps
         derived["inputs"] = {str(key): entry for key, entry in derived["inputs"].items()}
         write_atomically(self.run_dir / DERIVED, yaml.safe_dump(derived, sort_keys=False))

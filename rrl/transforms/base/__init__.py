@@ -2,7 +2,7 @@
 
 from rrl.transforms.base.action import ActionTransform, sibling
 from rrl.transforms.base.action_bounds import ActionLimits, action_leaf, limits_of
-from rrl.transforms.base.slots import Mask, Memory, RandomTransform, SlotTransform
+from rrl.transforms.base.slots import Mask, Memory, RandomTransform, SlotTransform, any_done
 
 __all__ = [
     "ActionLimits",
@@ -12,6 +12,7 @@ __all__ = [
     "RandomTransform",
     "SlotTransform",
     "action_leaf",
+    "any_done",
     "limits_of",
     "sibling",
 ]

@@ -16,7 +16,7 @@ from torchrl.envs.transforms import Transform
 from rrl.slot_masks import merge, reset_mask, step_mask
 from rrl.slot_random import Seeded, SlotGenerators
 
-__all__ = ["Mask", "Memory", "RandomTransform", "SlotTransform"]
+__all__ = ["Mask", "Memory", "RandomTransform", "SlotTransform", "any_done"]
 
 Mask = Tensor | None
 """Slots, bool ``[*batch]``; None: all of them."""
@@ -90,7 +90,7 @@ class SlotTransform(Transform):
         if self.resets_itself():
             # Here, not in _reset_on_native_autoreset, which sees what later transforms have made
             # of the first observations.
-            started = _any_done(next_tensordict)
+            started = any_done(next_tensordict)
             started = started if mask is None else started & mask
             memory = self._advance_or_start(tensordict, next_tensordict, mask, started)
         else:
@@ -217,7 +217,7 @@ class RandomTransform(Seeded, SlotTransform):
         self._generators.load_state_dict(state["generators"])
 
 
-def _any_done(tensordict: TensorDictBase) -> Tensor:
+def any_done(tensordict: TensorDictBase) -> Tensor:
     """Return which slots end an episode, bool ``[*batch]``."""
     batch = tensordict.batch_size
     done = torch.zeros(batch, dtype=torch.bool, device=tensordict.device)

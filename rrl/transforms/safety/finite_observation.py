@@ -12,7 +12,7 @@ from torchrl.data import Binary, Composite
 from rrl.checks import check_whole, require
 from rrl.keys import REWARD, SAFETY
 from rrl.slot_masks import merge
-from rrl.transforms.base import Mask, Memory, SlotTransform
+from rrl.transforms.base import Mask, Memory, SlotTransform, any_done
 from rrl.transforms.safety.truncation import truncate
 
 __all__ = ["FiniteObservation"]
@@ -62,7 +62,7 @@ class FiniteObservation(SlotTransform):
             value = next_td.get(key)
             lost = ~value.isfinite().reshape(*next_td.batch_size, -1).all(-1)
             if self.resets_itself():  # what TorchRL puts in the place of an episode's last entries
-                lost = lost & ~next_td.get("done").reshape(lost.shape)
+                lost = lost & ~any_done(next_td)
             lost = lost if mask is None else lost & mask
             kept = torch.zeros_like(value) if key == self._reward_key else td.get(key)
             next_td.set(key, merge(lost, kept, value))
@@ -71,7 +71,7 @@ class FiniteObservation(SlotTransform):
             self._bear(broken)
             if not self.resets_itself():
                 truncate(next_td, flag)
-        elif next_td.get("done").any():
+        elif any_done(next_td).any():
             self._in_a_row = 0
         return {"flag": flag}
 

@@ -5,7 +5,7 @@ import torch
 from tensordict import TensorDict
 from torch.nn.functional import mse_loss
 
-from agents import OBSERVATION, batches, learn, make_agent, parameters
+from agents import BATCH, OBSERVATION, batches, learn, make_agent, parameters
 from rrl.algorithms import DDPG, SAC, TD3
 from rrl.algorithms.calibration import (
     VALUE_SPREAD,
@@ -15,6 +15,7 @@ from rrl.algorithms.calibration import (
 )
 from rrl.encoders.concatenate import standardization
 from rrl.inputs import Input
+from rrl.n_step import STEPS
 
 
 @pytest.mark.parametrize("factor", [1e-4, 1e6])
@@ -48,6 +49,21 @@ def test_rewards_that_grow_are_scaled_anew_and_values_keep_their_meaning(algorit
     torch.testing.assert_close(_values(agent, data) * 20, values)
     agent.update(batches(64))  # the largest rewards count
     assert float(agent.reward_scale) == pytest.approx(scale / 20)
+
+
+@pytest.mark.parametrize("make", [TD3, SAC, DDPG])
+def test_a_successor_of_a_run_with_sums_of_rewards_keeps_the_scale(make):
+    agent = make_agent(make, reward_scale=None, last_layer_bound=0.1)
+    heir = make_agent(make, reward_scale=None)
+    data = batches(64)
+    data["next", "reward"] *= 1 + agent.gamma + agent.gamma**2
+    data[STEPS] = torch.full((64, BATCH, 1), 3.0)
+    agent.calibrate(data.reshape(-1))
+    heir.start_from(agent)
+    scale = float(agent.reward_scale)
+    agent.update(data)
+    heir.update(data)
+    assert float(agent.reward_scale) == float(heir.reward_scale) == scale
 
 
 def _values(agent, data):
