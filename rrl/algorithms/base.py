@@ -205,21 +205,22 @@ class Agent(nn.Module, ABC):
         """
         fall = 1 + self.num_updates / self.penalty_updates
         self.residual_weight.fill_(self.settings.residual_penalty / fall)
-        history: dict[str, list[Tensor]] = {}
-        if self.settings.reward_scale is None:
-            if self.is_calibrated:
-                factor = self._reward_factor(batches)
-                follow_rewards(self.reward_scale, factor, self.loss, self._value_layer)
-            history["reward_scale"] = [self.reward_scale.reshape(1).clone()]
+        derives = self.settings.reward_scale is None
+        if derives and self.is_calibrated:
+            factor = self._reward_factor(batches)
+            follow_rewards(self.reward_scale, factor, self.loss, self._value_layer)
         batches = self._encoded(batches)
         if self.symmetry is not None:
             self.symmetry.reflect_transitions(batches)
         entries = sorted(batches.items(True, True), key=lambda item: str(item[0]))
         keys, columns = tuple(k for k, _ in entries), [v.contiguous() for _, v in entries]
+        history: dict[str, list[Tensor]] = {}
         for first, steps in self._plan(len(batches)):
             part = [column[first : first + len(steps)] for column in columns]
             for name, values in self._updates(steps, keys, part).items():
                 history.setdefault(name, []).append(values)
+        if derives:
+            history["reward_scale"] = [self.reward_scale.reshape(1).clone()]
         return {name: torch.cat(values).mean() for name, values in history.items()}
 
     def _encoded(self, batches: TensorDictBase) -> TensorDict:

@@ -108,6 +108,17 @@ def logged(names: Iterable[str]) -> list[Panel]:
     return [Panel(name, title) for name, title in words.items()]
 
 
+def budgets(names: Iterable[str], declared: Declared) -> list[Panel]:
+    """Return a panel for every ``constraint/<quantity>/multiplier`` and ``.../episode``."""
+    found = []
+    for name in names:
+        quantity, _, what = name.partition("/")[2].rpartition("/")
+        words, unit = quantity.replace("_", " "), declared.get(quantity, {}).get("unit", "")
+        used = f"{words} of an episode" + (f" [{unit}]" if unit else "")
+        found.append(Panel(name, used if what == "episode" else f"{words}, price of the budget"))
+    return found
+
+
 def safety(limits: Iterable[str]) -> list[Panel]:
     """Return two panels for every safety limit: steps that it changed in training, and followed."""
     evaluation = metrics.name(metrics.EVALUATION, FOLLOWED, f"{metrics.SAFETY}_")

@@ -122,15 +122,33 @@ def _meaningful(group: Group, cells: Sequence[str], records: Sequence[Record]) -
 
 
 def _curves(page: Page, groups: Sequence[Group]) -> None:
-    def panels_of(group: str) -> list[Panel]:
+    missing = []
+    for title, shown, caption in _sections(groups):
+        figure = charts.curves(groups, shown)
+        if figure is None:
+            missing.append(title.lower())
+            continue
+        page.section(title)
+        page.chart(figure, caption)
+    if missing:
+        page.text(f"Nothing was logged for: {', '.join(missing)}.")
+
+
+def _sections(groups: Sequence[Group]) -> tuple[tuple[str, Sequence[Panel], str], ...]:
+    """Return title, panels and caption of every section with curves."""
+
+    def names_of(group: str) -> list[str]:
         names = dict.fromkeys(n for g in groups for n in g.metrics_of(group))
-        return panels.logged(metrics.name(group, name) for name in names)
+        return [metrics.name(group, name) for name in names]
+
+    def panels_of(group: str) -> list[Panel]:
+        return panels.logged(names_of(group))
 
     followed = ", ".join(dict.fromkeys(group.followed for group in groups))
     entries = dict.fromkeys(n for g in groups for n in g.metrics_of(metrics.EVALUATION, g.followed))
     declared = {name: how for group in groups for name, how in group.declared.items()}
     limits = dict.fromkeys(n for g in groups for n in g.metrics_of(metrics.SAFETY))
-    sections: tuple[tuple[str, Sequence[Panel], str], ...] = (
+    return (
         (
             "Learning",
             panels.LEARNING,
@@ -173,21 +191,16 @@ def _curves(page: Page, groups: Sequence[Group]) -> None:
         ("Losses", panels_of(metrics.LOSS), "Means over the updates of a round."),
         (
             "Budgets",
-            panels_of(metrics.CONSTRAINT),
-            "What using up a budget once costs, and what the exploring policy's episodes came to.",
+            panels.budgets(names_of(metrics.CONSTRAINT), declared),
+            "What using up a budget once costs, in the units of the critics' values, and what the "
+            "exploring policy's episodes came to.",
         ),
-        ("Safety limits", panels.safety(limits), "Steps in which a limit changed the action."),
+        (
+            "Safety limits",
+            panels.safety(limits),
+            "Steps in which a limit changed the action, or something read was not finite.",
+        ),
     )
-    missing = []
-    for title, shown, caption in sections:
-        figure = charts.curves(groups, shown)
-        if figure is None:
-            missing.append(title.lower())
-            continue
-        page.section(title)
-        page.chart(figure, caption)
-    if missing:
-        page.text(f"Nothing was logged for: {', '.join(missing)}.")
 
 
 def _videos(page: Page, runs: Sequence[Run]) -> None:
