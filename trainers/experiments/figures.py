@@ -13,6 +13,8 @@ from matplotlib.figure import Figure
 
 from ..evaluation.statistics import mean_interval
 from ..report.learning_curve import ACCEPTED_COLOR, CONTROLLER_COLOR, RESIDUAL_COLOR
+from .front import draw_front
+from .looks import COLORS, MARKERS, PANELS
 from .outcomes import Finding, Outcome
 from .spec import Experiment
 from .spread import variances
@@ -20,21 +22,14 @@ from .tables import interval_of, success_rows
 
 __all__ = ["draw"]
 
-COLORS = (
-    RESIDUAL_COLOR,
-    *["#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#7a6a00", "#4d4d4d", "#8c2d04"],
-)
-"""Distinct for the color-blind (Okabe and Ito), and from the controller's."""
-MARKERS = "osD^vPX*"
 TASK_COLUMNS = 3
 INTERVAL = "mean and 95 % confidence interval over seeds"
-PANELS = (("success", "success rate [%]", 100.0), ("return", "return of an episode", 1.0))
 
 
 def draw(experiment: Experiment, finding: Finding, folder: Path) -> Path:
     """Draw an experiment's figure; return the PNG, with the SVG beside it."""
     kinds = {"curves": _curves, "sweep": _sweep, "spread": _spread, "table": _table}
-    kinds["tasks"] = _tasks
+    kinds |= {"tasks": _tasks, "front": _front}
     figure = kinds[experiment.figure](experiment, finding)
     folder.mkdir(parents=True, exist_ok=True)
     out = folder / f"{experiment.name}.png"
@@ -151,6 +146,12 @@ def _tasks(experiment: Experiment, finding: Finding) -> Figure:
         axis.axis("off")
     for axis in axes[count - columns : count]:
         axis.set_xlabel("environment steps of one seed", fontsize=8)
+    _finish(figure, axes, experiment, finding)
+    return figure
+
+
+def _front(experiment: Experiment, finding: Finding) -> Figure:
+    figure, axes = draw_front(experiment, finding)
     _finish(figure, axes, experiment, finding)
     return figure
 

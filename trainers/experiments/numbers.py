@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from rrl.keys import METRICS
+
 from ..loggers import metrics
 from ..report.runs import Run
 from ..report.tables import ACCEPTED
@@ -28,7 +30,9 @@ COLUMNS = (
     *(f"position_variance_{axis}_cm2" for axis in AXES),
     *("wall_time_s", "versions"),
 )
-"""``evaluation`` is ``training`` or ``final``; what was not measured is empty. Success is a share,
+"""Then the metric's mean and 99th percentile by policy, where success is drawn against one.
+
+``evaluation`` is ``training`` or ``final``; what was not measured is empty. Success is a share,
 ``rescues`` and ``regressions`` are numbers of episodes, of the latest policy and of what is handed
 over; wall time and versions are those of the whole run."""
 
@@ -38,7 +42,8 @@ Row = Mapping[str, Any]
 def write_numbers(experiment: Experiment, finding: Finding, path: Path) -> Path:
     """Write the file ``path`` with :data:`COLUMNS` and return it."""
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        more = [column for column, _ in _metric(experiment)]
+        writer = csv.DictWriter(file, [*COLUMNS, *more], lineterminator="\n")
         writer.writeheader()
         for outcome in finding.outcomes:
             point = outcome.point
@@ -74,7 +79,8 @@ def _final(experiment: Experiment, outcome: Outcome, run: Run) -> Iterator[Row]:
     common = {"env_steps": total, "evaluation": "final", "episodes": outcome.episodes}
     for scenario in outcome.scenarios:
         summary = run.summary(scenario)
-        found = {column: summary[entry] for column, entry in _entries() if entry in summary}
+        entries = (*_entries(), *_metric(experiment))
+        found = {column: summary[entry] for column, entry in entries if entry in summary}
         found |= {entry: summary[entry] for entry in CHANGES if entry in summary}
         yield {**common, "scenario": scenario, **found, **more}
 
@@ -84,3 +90,11 @@ def _entries() -> Iterator[tuple[str, str]]:
     for entry in ENTRIES:
         for policy, prefix in POLICIES.items():
             yield f"{policy}_{entry}", prefix + entry
+
+
+def _metric(experiment: Experiment) -> Iterator[tuple[str, str]]:
+    """The columns of what success is drawn against, and their entries."""
+    for end in ("", "_p99") if experiment.metric else ():
+        for policy, prefix in POLICIES.items():
+            name = f"{experiment.metric}{end}"
+            yield f"{policy}_{name}", f"{prefix}{METRICS}/{name}"

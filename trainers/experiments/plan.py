@@ -155,6 +155,7 @@ def _points_of(experiment: Experiment, settings: Settings, compose: Compose) -> 
                 f"{experiment.name}: expected trainer.evaluation.every above 0 for curves, got 0"
             )
         _check_steps(experiment, config["trainer"])
+        _check_metric(experiment, config["env"])
         key, seeds = _key(config, used), tuple(range(experiment.seeds or scale.seeds))
         return Point(experiment.name, arm, value, key, overrides, config, seeds, used, shown)
 
@@ -176,6 +177,16 @@ def _check_steps(experiment: Experiment, trainer: Mapping[str, Any]) -> None:
                 f"{experiment.name}.evaluated_at: expected multiples of trainer.evaluation.every "
                 f"({every}) up to trainer.total_steps ({total}), got {at}"
             )
+
+
+def _check_metric(experiment: Experiment, env: Mapping[str, Any]) -> None:
+    known = env.get("metrics") or {}
+    if experiment.metric is not None and experiment.metric not in known:
+        choices = ", ".join(sorted(known)) or "none"
+        raise ValueError(
+            f"{experiment.name}.metric: expected one of env.metrics ({choices}), "
+            f"got {experiment.metric!r}"
+        )
 
 
 def _key(config: Mapping[str, Any], sources: Mapping[str, Point]) -> str:

@@ -11,6 +11,7 @@ from ..launch.pool import Ending
 from ..report.page import Page
 from ..storage.versions import versions
 from .claims import Verdict, criterion
+from .front import front_rows
 from .outcomes import Finding, Findings
 from .plan import command
 from .spec import Experiment, Settings
@@ -75,7 +76,9 @@ def _experiment(page: Page, experiment: Experiment, finding: Finding, figure: Pa
     if experiment.figure == "tasks":
         _standings(page, finding)
     page.image(figure.with_suffix(".svg"), f"Experiment `{experiment.name}`")
-    if experiment.figure not in ("spread", "tasks"):
+    if experiment.figure == "front":
+        page.table(*front_rows(experiment, finding))
+    if experiment.figure not in ("spread", "front", "tasks"):
         page.table(*final_rows(experiment, finding))
     if experiment.figure == "curves" and finding.outcomes[0].follows("success"):
         page.table(*steps_rows(finding))

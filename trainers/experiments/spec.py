@@ -52,8 +52,9 @@ class Experiment(_Section):
         name: Name of the file.
         title: What is shown.
         paper: Where the paper has it; None: nowhere.
-        figure: What is drawn: ``curves``, ``sweep``, ``table``, ``spread``, or ``tasks``: every arm
-            is a task of its own, with its own controller.
+        figure: What is drawn: ``curves``, ``sweep``, ``table``, ``spread``; ``front``: success
+            against ``metric``; ``tasks``: every arm is a task of its own, with its own controller.
+        metric: What ``front`` draws success against: a quantity that the environment reports.
         by_name: Whether it is left out where no experiment is named.
         seeds: How many, instead of the scale's number.
         evaluated_at: Environment steps whose evaluations become a table.
@@ -72,7 +73,8 @@ class Experiment(_Section):
     name: str
     title: str
     paper: str | None = None
-    figure: Literal["curves", "sweep", "table", "spread", "tasks"]
+    figure: Literal["curves", "sweep", "table", "spread", "front", "tasks"]
+    metric: PlainName | None = None
     by_name: bool = False
     seeds: Positive | None = None
     evaluated_at: tuple[Positive, ...] = ()
@@ -108,6 +110,8 @@ class Experiment(_Section):
             raise ValueError("expected either arms or runs_of")
         if self.figure == "sweep" and self.sweep is None:
             raise ValueError("figure: sweep needs a sweep")
+        if (self.figure == "front") != (self.metric is not None):
+            raise ValueError("expected metric with figure: front, and only there")
         return self
 
 

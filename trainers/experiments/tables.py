@@ -120,12 +120,12 @@ def _final_row(outcome: Outcome, with_setting: bool) -> list[str]:
     return cells
 
 
-def interval_of(outcome: Outcome, entry: str) -> tuple[float, float]:
+def interval_of(outcome: Outcome, entry: str, scenario: str | None = None) -> tuple[float, float]:
     """Return the 95 % interval of a final entry's mean over seeds; of a rate within 0 and 1."""
     if entry == "success":
-        counts = outcome.counts()
+        counts = outcome.counts(scenario)
         return success_interval(counts.solved, counts.episodes)
-    return mean_interval(outcome.final(entry))
+    return mean_interval(outcome.final(entry, scenario))
 
 
 def _value(outcome: Outcome, with_setting: bool) -> list[str]:
