@@ -27,6 +27,7 @@ def test_a_study_fits_the_configuration(study):
         build.check(point.config)
 
 
+@pytest.mark.slow
 def test_an_exported_policy_is_measured_beside_the_trainers_chain():
     options = ["--rates", "50", "--seconds", "0.2", "--episodes", "1"]
     command = [sys.executable, "-W", "ignore", "-m", "benchmarks.deploy", *options]

@@ -48,12 +48,12 @@ def load(monkeypatch):
     return load_example
 
 
-COMPILES_LONG = [pytest.mark.slow, pytest.mark.timeout(1200)]  # convolutions, on a busy machine
+LONG = [pytest.mark.slow, pytest.mark.timeout(1200)]  # compiled for a small run on a busy machine
+QUICK = ("frozen_policy", "targets_and_deltas")
 
 
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=COMPILES_LONG if name == "pixels" else ()) for name in TRAINED],
+    "name", [pytest.param(name, marks=() if name in QUICK else LONG) for name in TRAINED]
 )
 def test_example_trains(name, load, tmp_path):
     module = load(name)

@@ -210,7 +210,9 @@ def point_mass(num_envs=1):
     return PointMass([num_envs])
 
 
-@each_algorithm
+@pytest.mark.parametrize(
+    "algorithm", [TD3, *(pytest.param(a, marks=pytest.mark.slow) for a in (DDPG, SAC))]
+)
 def test_a_residual_learns_what_the_controller_does_not_know(algorithm, tmp_path):
     """Four runs on the drifting point: better than the controller, by a one-sided t test over the seeds."""
     environment = EnvironmentFactory(

@@ -186,7 +186,7 @@ def test_a_checkpoint_and_a_successor_know_what_was_derived(algorithm):
         assert torch.equal(heir.policy(td.clone())["action"], expected)
 
 
-@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("algorithm", [TD3, DDPG, SAC])
 def test_a_heavy_penalty_keeps_the_residual_small(algorithm, compiled):
     def size(penalty):

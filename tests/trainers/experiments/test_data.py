@@ -85,6 +85,7 @@ def test_how_widely_a_run_moved_is_kept_without_its_transitions(experiment, run)
     assert float(rows[1][-1]["position_variance_z_cm2"]) > 0
 
 
+@pytest.mark.slow
 def test_a_run_that_others_have_yet_to_start_from_is_trained(experiment, run, project):
     experiment(CHAIN)
     run("some", data="kept")

@@ -33,6 +33,7 @@ def metrics(run_dir):
     }
 
 
+@pytest.mark.slow
 def test_a_failed_run_is_named_and_tried_again_while_the_others_are_kept(project, run, monkeypatch):
     """One arm starts from a run that fails, the other does not."""
     arms = {"from it": ["arm=rl", "init_from.run=run:first"], "residual RL": ["arm=residual"]}

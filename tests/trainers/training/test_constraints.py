@@ -66,7 +66,11 @@ def last_drift(results) -> float:
 
 @pytest.mark.parametrize(
     ("learner", "explore"),
-    [(TD3, None), (DDPG, None), (SAC, no_exploration)],
+    [
+        pytest.param(TD3, None, marks=pytest.mark.slow),
+        (DDPG, None),
+        pytest.param(SAC, no_exploration, marks=pytest.mark.slow),
+    ],
     ids=["TD3", "DDPG", "SAC"],
 )
 def test_a_budget_holds_back_what_would_pay(make_trainer, factory, learner, explore):
@@ -141,7 +145,7 @@ def test_the_shares_of_the_steps_sum_up_to_what_the_episode_is_reported_with(
             start = end
 
 
-@pytest.mark.parametrize("collection", ["turn", "overlap"])
+@pytest.mark.parametrize("collection", ["turn", pytest.param("overlap", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("n_step", [1, 3])
 def test_a_run_that_died_goes_on_at_the_same_price(make_trainer, factory, n_step, collection):
     arguments = {

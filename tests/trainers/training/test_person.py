@@ -41,7 +41,7 @@ def at_step(trainer, number, action):
     object.__setattr__(env, "step", step)
 
 
-@pytest.mark.parametrize("collection", ["turn", "overlap"])
+@pytest.mark.parametrize("collection", ["turn", pytest.param("overlap", marks=pytest.mark.slow)])
 def test_a_pause_holds_the_environment_and_changes_nothing(make, collection):
     plain = make("plain", collection=collection)
     plain.run()

@@ -139,7 +139,10 @@ BASES = {
 }
 
 
-@pytest.mark.parametrize("kind", BASES)
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param(k, marks=pytest.mark.slow if k == "parallel" else ()) for k in BASES],
+)
 def test_a_run_that_dies_is_the_run_that_never_died(make, seeing, kind):
     base, batching, num_envs, changes = BASES[kind]
     inputs = [*SEEN, "pixels_1"] if kind == "two cameras" else SEEN

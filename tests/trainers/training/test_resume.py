@@ -98,7 +98,10 @@ def test_so_it_is_with_compiled_updates(make, algorithm, collection):
 
 
 @pytest.mark.parametrize("collection", ["turn", pytest.param("overlap", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("kind", ENVIRONMENTS)
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param(k, marks=pytest.mark.slow if k == "parallel" else ()) for k in ENVIRONMENTS],
+)
 def test_so_it_is_with_every_kind_of_environment(make, factory, kind, collection):
     base, batching, num_envs = ENVIRONMENTS[kind]
     arguments = {

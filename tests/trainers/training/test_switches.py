@@ -86,6 +86,7 @@ def test_n_step_reaches_no_further_than_a_collection(settings):
         settings(n_step=21)
 
 
+@pytest.mark.slow
 def test_a_stochastic_policy_resumes_as_if_never_stopped(make_trainer):
     """SAC with n-step returns and a safety limit: the acting policy's generators are part of the checkpoint."""
     environment = EnvironmentFactory(

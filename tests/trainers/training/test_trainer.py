@@ -16,6 +16,7 @@ from rrl.trainers.settings import CheckpointSettings, EvaluationSettings
 from rrl.transforms import ControlNoise, ObservationLatency, ObservationNoise
 
 
+@pytest.mark.slow
 def test_residual_beats_its_controller(make_trainer):
     comparisons = []
     for seed in range(4):
