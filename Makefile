@@ -2,8 +2,9 @@
 PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
+PAPER  := curves-sim curves-real rotation noise bias table success-real bias-real sim-to-real exploration
 
-.PHONY: train test test-slow test-ray test-gallery lint docs controllers reproduce gallery faults soak studies benchmark latency limits clean
+.PHONY: train test test-slow test-ray test-gallery lint docs controllers reproduce paper gallery faults soak studies benchmark latency limits clean
 
 train: $(VENV)/installed            ## train residual TD3 on the misaligned insertion task, five seeds side by side
 	$(BIN)/rrl train trainer.num_seeds=5
@@ -37,10 +38,15 @@ controllers: $(VENV)/installed      ## score the hand-written controllers on eve
 reproduce: $(VENV)/installed        ## the paper's ten experiments at the quick scale: figures, claims and a report
 	$(BIN)/rrl reproduce
 
+paper: $(VENV)/installed            ## the same at the paper's scale, hours: adds what is missing to docs/data/paper, writes docs/results.md
+	$(BIN)/rrl reproduce scale=paper data=docs/data/paper
+	cp outputs/reproduce/results.md docs/
+	cp $(addprefix outputs/reproduce/figures/,$(addsuffix .png,$(PAPER)) $(addsuffix .csv,$(PAPER))) docs/figures/
+
 gallery: $(VENV)/installed          ## other people's tasks, five seeds each: adds what is missing to docs/data/gallery, writes docs/gallery.md
 	$(BIN)/pip install --disable-pip-version-check --quiet --constraint constraints.txt --editable ".[gallery]"
 	$(BIN)/rrl reproduce gallery data=docs/data/gallery
-	cp outputs/reproduce/gallery.md docs/
+	cp outputs/reproduce/results-gallery.md docs/gallery.md
 	cp outputs/reproduce/figures/gallery.png docs/figures/
 
 faults: $(VENV)/installed           ## kill a training run a hundred times, resume it, compare it with one left in peace

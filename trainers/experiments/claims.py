@@ -17,7 +17,34 @@ LEVEL = 1 / 3
 """A residual is level if it loses at most this share of what the controller loses over a sweep."""
 FEW_STEPS, SOLVED = 1000, 0.9
 
-__all__ = ["CLAIMS", "Verdict", "criterion", "judge"]
+__all__ = ["CLAIMS", "Claim", "Verdict", "judge"]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim of the paper.
+
+    Attributes:
+        number: As the checks are numbered.
+        words: What is claimed; "it" is residual RL.
+        paper: The paper's own numbers or words, and where they stand.
+        experiment: Name of the experiment that decides it.
+        test: From what was found to whether it holds, and the numbers that decide.
+    """
+
+    number: str
+    words: str
+    paper: str
+    experiment: str
+    test: Callable[[Finding], tuple[bool, str]]
+
+    def __str__(self) -> str:
+        return f"{self.number}. {self.words}"
+
+    @property
+    def criterion(self) -> str:
+        """How it is tested, in one sentence."""
+        return " ".join((self.test.__doc__ or "").split())
 
 
 @dataclass(frozen=True)
@@ -25,14 +52,12 @@ class Verdict:
     """What became of a claim.
 
     Attributes:
-        claim: In words.
-        experiment: Name of the experiment that decides it.
-        holds: None if runs of it are missing.
+        claim: The claim.
+        holds: None if runs of its experiment are missing.
         numbers: The numbers that decide.
     """
 
-    claim: str
-    experiment: str
+    claim: Claim
     holds: bool | None
     numbers: str
 
@@ -42,22 +67,16 @@ class Verdict:
         return {True: "holds", False: "does not hold", None: "not tested"}[self.holds]
 
 
-Test = Callable[[Finding], tuple[bool, str]]
-
-
 def judge(findings: Findings) -> list[Verdict]:
     """Return a verdict on every claim whose experiment is there."""
-    verdicts = []
-    for claim, experiment, test in CLAIMS:
-        if experiment not in findings:
-            continue
-        try:
-            verdicts.append(Verdict(claim, experiment, *test(findings[experiment])))
-        except (IndexError, KeyError) as missing:
-            verdicts.append(
-                Verdict(claim, experiment, None, f"not all runs are finished ({missing})")
-            )
-    return verdicts
+    return [_verdict(c, findings[c.experiment]) for c in CLAIMS if c.experiment in findings]
+
+
+def _verdict(claim: Claim, finding: Finding) -> Verdict:
+    try:
+        return Verdict(claim, *claim.test(finding))
+    except (IndexError, KeyError) as missing:
+        return Verdict(claim, None, f"not all runs are finished ({missing})")
 
 
 def learns_faster(finding: Finding) -> tuple[bool, str]:
@@ -164,46 +183,99 @@ def explores_wider(finding: Finding) -> tuple[bool, str]:
     return mean_interval(alone)[0] > mean_interval(residual)[1], text
 
 
-CLAIMS: Sequence[tuple[str, str, Test]] = tuple(
-    (f"{number} {claim}", experiment, test)
-    for number, claim, experiment, test in (
-        (
-            "1a.",
-            "In simulation residual RL learns faster than RL alone",
-            "curves-sim",
-            learns_faster,
-        ),
-        ("1b.", "In simulation residual RL ends above the controller", "curves-sim", ends_above),
-        (
-            "2a.",
-            "On the real-like task it learns faster than RL alone",
-            "curves-real",
-            learns_faster,
-        ),
-        ("2b.", "On the real-like task it ends above the controller", "curves-real", ends_above),
-        ("3.", "It stays level as the blocks turn, the controller falls", "rotation", stays_level),
-        ("4.", "It stays level as control noise grows", "noise", withstands_noise),
-        ("5.", "It stays level as control bias grows, the controller falls", "bias", stays_level),
-        (
-            "6a.",
-            "Misaligned: about 15 of 20, by the controller about 2",
-            "table",
-            solves_misaligned,
-        ),
-        ("6b.", "Aligned: 20 of 20, and so by the controller", "table", solves_aligned),
-        ("7.", "Misaligned success grows within 8000 samples", "success-real", success_grows),
-        ("8.", "Bias does not stop learning, real-like task", "bias-real", learns_under_bias),
-        ("9.", "On a policy from simulation: under 1000 steps", "sim-to-real", transfers_quickly),
-        ("10.", "RL alone visits a wider spread of states", "exploration", explores_wider),
-    )
+CLAIMS: Sequence[Claim] = (
+    Claim(
+        "1a",
+        "In simulation residual RL learns faster than RL alone",
+        "fewer samples (figure 2)",
+        "curves-sim",
+        learns_faster,
+    ),
+    Claim(
+        "1b",
+        "In simulation residual RL ends above the controller",
+        "above it (figure 2)",
+        "curves-sim",
+        ends_above,
+    ),
+    Claim(
+        "2a",
+        "On the real-like task it learns faster than RL alone",
+        "fewer samples (figure 2)",
+        "curves-real",
+        learns_faster,
+    ),
+    Claim(
+        "2b",
+        "On the real-like task it ends above the controller",
+        "above it (figure 2)",
+        "curves-real",
+        ends_above,
+    ),
+    Claim(
+        "3",
+        "It stays level as the blocks turn, the controller falls",
+        "a constant average against a decrease (figure 3 a)",
+        "rotation",
+        stays_level,
+    ),
+    Claim(
+        "4",
+        "It stays level as control noise grows",
+        "a constant return (figure 3 b)",
+        "noise",
+        withstands_noise,
+    ),
+    Claim(
+        "5",
+        "It stays level as control bias grows, the controller falls",
+        "a constant return against a decrease (figure 3 c)",
+        "bias",
+        stays_level,
+    ),
+    Claim(
+        "6a",
+        "Misaligned: about 15 of 20, by the controller about 2",
+        "15 of 20, controller 2 of 20 (figure 4 a)",
+        "table",
+        solves_misaligned,
+    ),
+    Claim(
+        "6b",
+        "Aligned: 20 of 20, and so by the controller",
+        "20 of 20, controller 20 of 20 (figure 4 a)",
+        "table",
+        solves_aligned,
+    ),
+    Claim(
+        "7",
+        "Misaligned success grows within 8000 samples",
+        "gradually, over 8000 samples (figure 4 b)",
+        "success-real",
+        success_grows,
+    ),
+    Claim(
+        "8",
+        "Bias does not stop learning, real-like task",
+        "no significant issues (figure 4 c)",
+        "bias-real",
+        learns_under_bias,
+    ),
+    Claim(
+        "9",
+        "On a policy from simulation: under 1000 steps",
+        "under 1000 steps (figure 5)",
+        "sim-to-real",
+        transfers_quickly,
+    ),
+    Claim(
+        "10",
+        "RL alone visits a wider spread of states",
+        "a broader spatial variance (section VI)",
+        "exploration",
+        explores_wider,
+    ),
 )
-"""Number and words, experiment, test; "it" is residual RL."""
-
-
-def criterion(claim: str) -> str:
-    """How a claim is tested, in one sentence."""
-    test = next(test for words, _, test in CLAIMS if words == claim)
-    return " ".join((test.__doc__ or "").split())
 
 
 def _ends(finding: Finding) -> tuple[Outcome, Outcome]:

@@ -7,8 +7,8 @@ The store::
             rotation-0.1-residual-rl-3f2a91c0/   experiment, setting and arm that asked first; key
                 seed-0/                          an ordinary directory of `rrl train`
         figures/                                 PNG and SVG, and the numbers behind them as CSV
-        gallery.md                               of an experiment with a task for every arm
         report.html                              report-NAME.html for experiments called by name
+        results.md                               the same without videos, for a repository's docs
 
 A key is a checksum of the settings that decide what is learned and measured, without the seed.
 Points of equal keys share their runs. Whoever changes a default gets a new key and new runs; the

@@ -1,105 +1,118 @@
-"""The report: one HTML file with claims, figures, tables, a video, configurations and versions."""
+"""The report: one HTML file with everything, and a Markdown page for a repository's documents."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import yaml
 
 from ..launch.pool import Ending
+from ..report.markdown import MarkdownPage
 from ..report.page import Page
 from ..storage.versions import versions
-from .claims import Verdict, criterion
-from .front import front_rows
-from .outcomes import Finding, Findings
+from .claims import Verdict
+from .outcomes import Findings
 from .plan import command
+from .sections import STATISTICS, add_claims, add_experiment
 from .spec import Experiment, Settings
-from .standing import HEADER, notes, standing_row
-from .tables import final_rows, followed_rows, overall_iqm, steps_rows, success_rows
 
-__all__ = ["write_report"]
+__all__ = ["Shown", "write_report", "write_results"]
+
+TITLE = "Residual reinforcement learning for robot control: the experiments again"
 
 
-def write_report(
-    experiments: Sequence[Experiment],
-    findings: Findings,
-    figures: Mapping[str, Path],
-    verdicts: Sequence[Verdict],
-    video: Path | None,
-    clips: Mapping[str, Sequence[tuple[Path, str]]],
-    settings: Settings,
-    ending: Ending,
-    out: Path,
-) -> Path:
-    """Write the HTML file ``out``; the figures enter as SVG.
+@dataclass(frozen=True)
+class Shown:
+    """What both pages show.
 
-    Args:
-        experiments: What is shown, in this order.
+    Attributes:
+        experiments: In this order.
         findings: Their numbers.
         figures: Their PNG files, each with an SVG beside it.
         verdicts: On the paper's claims.
+        settings: Of the command.
+    """
+
+    experiments: Sequence[Experiment]
+    findings: Findings
+    figures: Mapping[str, Path]
+    verdicts: Sequence[Verdict]
+    settings: Settings
+
+    @property
+    def introduction(self) -> str:
+        """Scale, seeds and statistics."""
+        usual = self.settings.scales[self.settings.scale].seeds
+        seeds = " or ".join(map(str, sorted({e.seeds or usual for e in self.experiments})))
+        return f"Scale `{self.settings.scale}`: {seeds} seeds, each a run of its own. {STATISTICS}"
+
+
+def write_report(
+    shown: Shown,
+    video: Path | None,
+    clips: Mapping[str, Sequence[tuple[Path, str]]],
+    ending: Ending,
+    out: Path,
+) -> Path:
+    """Write the HTML file ``out``: also videos, failures, configurations; figures enter as SVG.
+
+    Args:
+        shown: What is shown.
         video: Of one rescued episode.
         clips: By experiment, videos of its tasks and what they show.
-        settings: Of the command.
         ending: What became of the runs.
         out: The file.
     """
-    page = Page("Residual reinforcement learning for robot control: the experiments again")
-    page.text(
-        f"Scale `{settings.scale}`: {_seeds(experiments, settings)} seeds, each a run of "
-        "its own. Every number is from frozen episodes without exploration, the same for every "
-        "seed and arm; the controller alone runs the same episodes. Means are over seeds with "
-        "Student's t interval; intervals of success count seeds, not episodes, as independent; IQM "
-        "is the interquartile mean with a stratified bootstrap."
-    )
-    if verdicts:
-        page.section("The paper's claims")
-        rows = [[v.claim, v.word, v.numbers, criterion(v.claim)] for v in verdicts]
-        page.table(["claim", "verdict", "numbers", "criterion"], rows)
+    page, scale = Page(TITLE), shown.settings.scale
+    page.text(shown.introduction)
+    if shown.verdicts:
+        add_claims(page, shown.verdicts)
     if video is not None:
         page.section("One episode, twice")
         text = "The same frozen episode: the controller fails, with the residual it succeeds."
         page.video(video, text)
-    for experiment in experiments:
-        _experiment(page, experiment, findings[experiment.name], figures[experiment.name])
+    for experiment in shown.experiments:
+        page.section(experiment.heading)
+        figure = shown.figures[experiment.name].with_suffix(".svg")
+        add_experiment(page, experiment, shown.findings[experiment.name], figure, scale)
         _clips(page, experiment, clips.get(experiment.name, ()))
     _failures(page, ending)
-    _configurations(page, experiments, findings, out.parent)
+    _configurations(page, shown, out.parent)
     page.section("Versions")
     page.table(["package", "version"], [[name, version] for name, version in versions().items()])
     return page.write(out)
 
 
-def _experiment(page: Page, experiment: Experiment, finding: Finding, figure: Path) -> None:
-    page.section(experiment.heading)
-    if experiment.figure == "tasks":
-        _standings(page, finding)
-    page.image(figure.with_suffix(".svg"), f"Experiment `{experiment.name}`")
-    if experiment.figure == "front":
-        page.table(*front_rows(experiment, finding))
-    if experiment.figure not in ("spread", "front", "tasks"):
-        page.table(*final_rows(experiment, finding))
-    if experiment.figure == "curves" and finding.outcomes[0].follows("success"):
-        page.table(*steps_rows(finding))
-    if experiment.evaluated_at:
-        page.table(*followed_rows(experiment, finding))
-    if finding.outcomes[0].knows("success") and (
-        experiment.figure in ("table", "sweep") or len(finding.outcomes[0].scenarios) > 1
-    ):
-        page.table(*success_rows(experiment, finding))
-    for arm in finding.arms if experiment.sweep else ():
-        outcomes = finding.arm(arm)
-        known = [entry for entry in ("return", "success") if outcomes[0].knows(entry)]
-        text = "; ".join(f"{entry} {overall_iqm(outcomes, entry)}" for entry in known)
-        page.text(f"{arm}, all settings, IQM with bootstrap stratified by setting: {text}.")
-    page.text(f"Again: `rrl reproduce {experiment.name}`.")
+def write_results(shown: Shown, out: Path) -> Path:
+    """Write the Markdown file ``out``, whose figures stay in a folder beside it."""
+    alone = len(shown.experiments) == 1
+    page = MarkdownPage(shown.experiments[0].heading if alone else TITLE)
+    page.text(
+        "`rrl reproduce` wrote this page, a report with videos and configurations, and the numbers "
+        f"behind each figure as CSV. {shown.introduction}"
+    )
+    if shown.verdicts:
+        add_claims(page, shown.verdicts)
+    for experiment in shown.experiments:
+        if not alone:
+            page.section(experiment.heading)
+        figure = shown.figures[experiment.name].relative_to(out.parent)
+        finding = shown.findings[experiment.name]
+        add_experiment(page, experiment, finding, figure, shown.settings.scale)
+    page.section("Versions")
+    page.text(_versions_of_runs(shown))
+    return page.write(out)
 
 
-def _standings(page: Page, finding: Finding) -> None:
-    page.table(HEADER, [standing_row(outcome) for outcome in finding.outcomes])
-    for text in notes(finding):
-        page.text(text)
+def _versions_of_runs(shown: Shown) -> str:
+    found: dict[str, set[str]] = {}
+    for finding in shown.findings.values():
+        for run in (run for outcome in finding.outcomes for run in outcome.runs):
+            for name, version in run.versions.items():
+                found.setdefault(name, set()).add(version)
+    return ", ".join(f"{name} {' or '.join(sorted(each))}" for name, each in found.items()) + "."
 
 
 def _clips(page: Page, experiment: Experiment, clips: Sequence[tuple[Path, str]]) -> None:
@@ -114,11 +127,6 @@ def _clips(page: Page, experiment: Experiment, clips: Sequence[tuple[Path, str]]
     page.videos(clips)
 
 
-def _seeds(experiments: Sequence[Experiment], settings: Settings) -> str:
-    usual = settings.scales[settings.scale].seeds
-    return " or ".join(map(str, sorted({e.seeds or usual for e in experiments})))
-
-
 def _failures(page: Page, ending: Ending) -> None:
     if ending.failed or ending.blocked:
         page.section("Runs that failed")
@@ -128,12 +136,10 @@ def _failures(page: Page, ending: Ending) -> None:
         page.text(f"`{job.name}` was not started: it needs {', '.join(map(str, job.needs))}.")
 
 
-def _configurations(
-    page: Page, experiments: Sequence[Experiment], findings: Findings, out: Path
-) -> None:
+def _configurations(page: Page, shown: Shown, out: Path) -> None:
     page.section("Configurations")
     page.text("Each run can be made again alone, with the command that stands first.")
-    outcomes = [outcome for e in experiments for outcome in findings[e.name].outcomes]
+    outcomes = [o for e in shown.experiments for o in shown.findings[e.name].outcomes]
     for outcome in {outcome.point.key: outcome for outcome in outcomes}.values():
         run = outcome.runs[0]
         again = command(outcome.point, run.config["trainer"]["seed"], out)

@@ -17,11 +17,10 @@ from ..training.interruption import Interruption
 from .claims import Verdict, judge
 from .data import keep, take
 from .figures import draw
-from .markdown import write_page
 from .numbers import write_numbers
 from .outcomes import Finding, gather
 from .plan import Compose, Point, plan_jobs, plan_points
-from .report import write_report
+from .report import Shown, write_report, write_results
 from .spec import Experiment, Settings, load_experiments, load_settings
 from .standing import HEADER, standing_row
 from .video import rescue_video, task_videos
@@ -65,7 +64,8 @@ def reproduce(
     console.say(f"the store is {out}")
     jobs = plan_jobs(points, out)
     ending = _run(jobs, settings, console, again)
-    report = out / ("report.html" if not names else f"report-{'-'.join(names)}.html")
+    name = "-".join(("report", *names))
+    report = out / f"{name}.html"
     _show(experiments, points, settings, ending, report, console)
     require_all(ending, console)
     return report
@@ -92,23 +92,25 @@ def _show(
 ) -> None:
     """Draw and report what is finished."""
     findings = gather(points, ending.done, report.parent)
-    shown = [experiment for experiment in experiments if experiment.name in findings]
-    figures = {e.name: draw(e, findings[e.name], report.parent / "figures") for e in shown}
+    known = [experiment for experiment in experiments if experiment.name in findings]
+    figures = {e.name: draw(e, findings[e.name], report.parent / "figures") for e in known}
     numbers = [
-        write_numbers(e, findings[e.name], figures[e.name].with_suffix(".csv")) for e in shown
+        write_numbers(e, findings[e.name], figures[e.name].with_suffix(".csv")) for e in known
     ]
     verdicts = judge(findings)
-    tasks = [experiment for experiment in shown if experiment.figure == "tasks"]
+    tasks = [experiment for experiment in known if experiment.figure == "tasks"]
     clips = {e.name: task_videos(findings[e.name], console) for e in tasks}
-    video = rescue_video(findings, console) if len(tasks) < len(shown) else None
+    video = rescue_video(findings, console) if len(tasks) < len(known) else None
     if verdicts:
         console.print(_verdict_table(verdicts))
-    pages: list[Path] = []
     for experiment in tasks:
         console.print(_task_table(experiment, findings[experiment.name]))
-        pages.append(write_page(experiment, findings[experiment.name], report.parent))
-    write_report(shown, findings, figures, verdicts, video, clips, settings, ending, report)
-    for path in (*figures.values(), *numbers, *pages, report):
+    shown = Shown(known, findings, figures, verdicts, settings)
+    pages = [write_report(shown, video, clips, ending, report)]
+    if known:
+        name = report.stem.replace("report", "results", 1)
+        pages.insert(0, write_results(shown, report.with_name(f"{name}.md")))
+    for path in (*figures.values(), *numbers, *pages):
         console.say(f"  {path}")
 
 
@@ -125,5 +127,5 @@ def _verdict_table(verdicts: Sequence[Verdict]) -> Table:
         table.add_column(column)
     for verdict in verdicts:
         style = {True: "green", False: "red", None: "dim"}[verdict.holds]
-        table.add_row(verdict.claim, Text(verdict.word, style=style), verdict.numbers)
+        table.add_row(str(verdict.claim), Text(verdict.word, style=style), verdict.numbers)
     return table

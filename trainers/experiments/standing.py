@@ -13,9 +13,9 @@ from ..loggers import metrics
 from ..report.notes import ACCEPTED
 from ..report.runs import Run
 from ..report.tables import gain, handed_over, with_interval
-from .outcomes import Finding, Outcome
+from .outcomes import Outcome
 
-__all__ = ["HEADER", "Standing", "notes", "standing", "standing_row"]
+__all__ = ["HEADER", "READING", "Standing", "standing", "standing_row"]
 
 HEADER = [
     "task",
@@ -38,6 +38,7 @@ READING = (
     "of returns it is a share of the range of the controller's). Better: beyond that the interval "
     "of the final gain is above zero."
 )
+"""How the rows are to be read."""
 
 
 @dataclass(frozen=True)
@@ -93,28 +94,6 @@ def standing_row(outcome: Outcome) -> list[str]:
     minutes = np.mean([run.seconds for run in outcome.runs]) / 60
     cells += [least, found.verdict, f"{minutes:.1f} min", _packages(outcome)]
     return [outcome.point.arm, found.entry, *cells]
-
-
-def notes(finding: Finding) -> list[str]:
-    """Return how the rows are to be read, how many runs they are of, and what these took."""
-    counts: dict[int, list[str]] = {}
-    for outcome in finding.outcomes:
-        counts.setdefault(len(outcome.runs), []).append(outcome.point.arm)
-    asked = max(len(outcome.point.seeds) for outcome in finding.outcomes)
-    few = "; ".join(
-        f"{count} of {asked} seeds: {', '.join(arms)}"
-        for count, arms in sorted(counts.items())
-        if count < asked
-    )
-    times = [run.seconds for outcome in finding.outcomes for run in outcome.runs]
-    whole = f"Finished: {few}." if few else f"Seeds of every row: {asked}."
-    return [
-        READING,
-        whole,
-        f"Wall time of all {len(times)} runs together, one after the other: "
-        f"{sum(times) / 3600:.1f} h; side by side it is divided by the number of workers, as long "
-        "as each has a core.",
-    ]
 
 
 def _changes(run: Run, entry: str) -> Iterator[float]:

@@ -11,6 +11,7 @@ from .outcomes import Finding, Outcome
 from .spec import Experiment
 
 __all__ = [
+    "effort",
     "final_rows",
     "followed_rows",
     "interval_of",
@@ -82,6 +83,26 @@ def steps_rows(finding: Finding) -> Table:
         reached = f"{sum(s is not None for s in steps)} of {len(steps)}"
         rows.append([outcome.point.arm, each, middle, reached])
     return header, rows
+
+
+def effort(finding: Finding) -> str:
+    """Return how many runs each arm has, and what they took."""
+    counts: dict[int, list[str]] = {}
+    for outcome in finding.outcomes:
+        counts.setdefault(len(outcome.runs), []).append(outcome.point.arm)
+    asked = max(len(outcome.point.seeds) for outcome in finding.outcomes)
+    few = "; ".join(
+        f"{count} of {asked} seeds: {', '.join(dict.fromkeys(arms))}"
+        for count, arms in sorted(counts.items())
+        if count < asked
+    )
+    times = [run.seconds for outcome in finding.outcomes for run in outcome.runs]
+    whole = f"Finished: {few}." if few else f"Seeds of every arm: {asked}."
+    return (
+        f"{whole} Wall time of all {len(times)} runs together, one after the other: "
+        f"{sum(times) / 3600:.1f} h; side by side it is divided by the number of workers, as long "
+        "as each has a core."
+    )
 
 
 def overall_iqm(outcomes: Sequence[Outcome], entry: str) -> str:

@@ -21,6 +21,7 @@ from ..evaluation.statistics import (
     wilson,
 )
 from .curves import Floats
+from .markdown import markdown_table
 from .notes import ACCEPTED, Results, is_frozen, notes
 from .panels import ABOVE, Declared, quantity_title
 from .runs import Record
@@ -227,8 +228,6 @@ def terminal_tables(results: Results, declared: Declared, title: str) -> Blocks:
 
 def markdown_tables(results: Results, declared: Declared) -> str:
     """Return the tables for a README."""
-    blocks = []
-    for header, rows in ((COLUMNS, success_rows(results)), quantity_rows(results, declared)):
-        lines = ["| " + " | ".join(row) + " |" for row in (header, *rows)]
-        blocks.append("\n".join([lines[0], "|" + "---|" * len(header), *lines[1:]]))
-    return "\n\n".join([*blocks, *notes(results, declared), ""])
+    both = (COLUMNS, success_rows(results)), quantity_rows(results, declared)
+    tables = [markdown_table(header, rows) for header, rows in both]
+    return "\n\n".join([*tables, *notes(results, declared), ""])

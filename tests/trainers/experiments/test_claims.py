@@ -8,11 +8,11 @@ import pytest
 import yaml
 
 from browser import needs_chromium, opened
-from rrl.trainers.experiments.claims import CLAIMS, criterion, judge
+from rrl.trainers.experiments.claims import CLAIMS, judge
 from rrl.trainers.experiments.figures import draw
 from rrl.trainers.experiments.outcomes import Finding, Outcome
 from rrl.trainers.experiments.plan import Point
-from rrl.trainers.experiments.report import write_report
+from rrl.trainers.experiments.report import Shown, write_report, write_results
 from rrl.trainers.experiments.spec import Experiment, Settings
 from rrl.trainers.experiments.tables import final_rows, success_rows
 from rrl.trainers.launch.job import Job
@@ -70,9 +70,9 @@ def outcome(tmp_path):
 
 
 def verdict(number, *outcomes):
-    claim, experiment, _ = next(c for c in CLAIMS if c[0].startswith(f"{number}."))
-    found = {v.claim: v for v in judge({experiment: Finding(experiment, outcomes)})}
-    return found[claim]
+    claim = next(claim for claim in CLAIMS if claim.number == number)
+    found = judge({claim.experiment: Finding(claim.experiment, outcomes)})
+    return next(verdict for verdict in found if verdict.claim is claim)
 
 
 def test_learning_faster_is_more_return_over_all_evaluations(outcome):
@@ -168,8 +168,9 @@ def test_a_claim_without_its_outcomes_is_not_tested(outcome):
 
 def test_every_claim_says_how_it_is_tested():
     assert len(CLAIMS) == 13
-    for claim, _, _ in CLAIMS:
-        assert len(criterion(claim)) > 20
+    for claim in CLAIMS:
+        assert len(claim.criterion) > 20
+        assert claim.paper
 
 
 @pytest.mark.parametrize("figure", ["curves", "sweep", "table"])
@@ -191,8 +192,8 @@ def test_figures_and_tables_of_a_store(outcome, figure, tmp_path):
     assert rows[1][4] == "10.0"
 
 
-@needs_chromium
-def test_the_report_opens_offline_and_without_errors(outcome, tmp_path):
+def shown_of(outcome, tmp_path):
+    """Two experiments of one outcome with two scenarios."""
     experiments = [
         Experiment(
             name="table", title="Table", paper="P", figure="table", arms={"residual RL": ()}
@@ -210,19 +211,33 @@ def test_the_report_opens_offline_and_without_errors(outcome, tmp_path):
     figures = {e.name: draw(e, findings[e.name], tmp_path / "figures") for e in experiments}
     scale = {"quick": {"seeds": 3}}
     settings = Settings(scale="quick", launcher="local", workers=1, out="out", scales=scale)
+    return Shown(experiments, findings, figures, judge(findings), settings)
+
+
+def test_the_results_are_a_page_for_a_repository(outcome, tmp_path):
+    shown = shown_of(outcome, tmp_path)
+    page = write_results(shown, tmp_path / "results.md").read_text()
+    for expected in (
+        "| 6a. Misaligned: about 15 of 20, by the controller about 2 | 15 of 20, controller 2",
+        "| 6b. Aligned: 20 of 20, and so by the controller |",
+        "## Table (P)",
+        "![Curves (P)](figures/success-real.png)",
+        "| misaligned | residual RL | 20/20/20 of 20 [",
+        "Seeds of every arm: 3.",
+        "`rrl reproduce table scale=quick`",
+    ):
+        assert expected in page, expected
+    assert str(tmp_path) not in page  # it can be put into any repository
+    for line in page.splitlines():
+        if line.startswith("!["):
+            assert (tmp_path / line.rpartition("(")[2].rstrip(")")).is_file()
+
+
+@needs_chromium
+def test_the_report_opens_offline_and_without_errors(outcome, tmp_path):
     failed = Job(tmp_path / "lost/seed-0", {"trainer": {"total_steps": 100}})
-    ending = Ending(failed=[failed])
-    path = write_report(
-        experiments,
-        findings,
-        figures,
-        judge(findings),
-        None,
-        {},
-        settings,
-        ending,
-        tmp_path / "r.html",
-    )
+    ending, shown = Ending(failed=[failed]), shown_of(outcome, tmp_path)
+    path = write_report(shown, None, {}, ending, tmp_path / "r.html")
     with opened(path) as page:
         text = page.inner_text("body")
         for expected in (

@@ -7,11 +7,10 @@ import pytest
 import yaml
 
 from experiment_project import write
-from rrl.trainers.experiments.markdown import write_page
 from rrl.trainers.experiments.outcomes import Finding, Outcome
 from rrl.trainers.experiments.plan import Point
-from rrl.trainers.experiments.spec import Experiment
-from rrl.trainers.experiments.standing import HEADER, notes, standing, standing_row
+from rrl.trainers.experiments.standing import HEADER, standing, standing_row
+from rrl.trainers.experiments.tables import effort
 from rrl.trainers.report.runs import Run
 
 EPISODES = 20
@@ -91,15 +90,12 @@ def test_a_row_has_every_number_with_its_interval_and_the_packages(outcome):
     assert row["packages"] == "metaworld 3.0.0"
 
 
-def test_the_page_has_a_row_for_every_arm_and_says_which_seeds_are_missing(outcome, tmp_path):
+def test_it_is_said_which_seeds_are_missing_and_what_the_runs_took(outcome):
     finding = Finding("some", (outcome(20), outcome(10, arm="hammer")))
-    experiment = Experiment(name="some", title="Tasks", figure="tasks", arms={"push": ()})
-    page = write_page(experiment, finding, tmp_path).read_text()
-    assert "| push | success | 50.0 [" in page
-    assert "| hammer | success |" in page
-    assert "Finished: 2 of 3 seeds: push, hammer." in page
-    assert "Wall time of all 4 runs together, one after the other: 0.1 h" in page
-    assert "Finished" not in " ".join(notes(Finding("some", (whole(finding.outcomes[0]),))))
+    said = effort(finding)
+    assert "Finished: 2 of 3 seeds: push, hammer." in said
+    assert "Wall time of all 4 runs together, one after the other: 0.1 h" in said
+    assert "Finished" not in effort(Finding("some", (whole(finding.outcomes[0]),)))
 
 
 def whole(outcome):
@@ -113,10 +109,12 @@ def test_the_command_writes_page_figure_and_table(project, run):
     content = {"title": "Points", "figure": "tasks", "seeds": 1, "overrides": overrides}
     write(project / "configs/experiment/points.yaml", {**content, "arms": arms})
     report, said = run("points")
-    page = (report.parent / "points.md").read_text()
+    page = (report.parent / "results-points.md").read_text()
     for arm in arms:
         assert f"| {arm} | success |" in page
         assert arm in said
         assert arm in report.read_text()
-    assert "![Over environment steps, a panel for every task](figures/points.png)" in page
+    assert page.startswith("# Points\n")
+    assert "![Points](figures/points.png)" in page
+    assert "numpy" in page
     assert (report.parent / "figures/points.png").stat().st_size > 5000
