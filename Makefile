@@ -4,7 +4,7 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 PAPER  := curves-sim curves-real rotation noise bias table success-real bias-real sim-to-real exploration
 
-.PHONY: train test test-slow test-ray test-gallery lint docs controllers reproduce paper gallery faults soak studies benchmark latency limits clean
+.PHONY: train test test-slow test-ray test-gallery lint docs controllers reproduce paper gallery faults soak studies benchmark tuning latency limits clean
 
 train: $(VENV)/installed            ## train residual TD3 on the misaligned insertion task, five seeds side by side
 	$(BIN)/rrl train trainer.num_seeds=5
@@ -62,6 +62,10 @@ benchmark: $(VENV)/installed        ## training speed against Stable-Baselines3,
 	$(BIN)/pip install --disable-pip-version-check --quiet --constraint constraints.txt --editable ".[benchmark]"
 	$(BIN)/python -W ignore -m benchmarks.speed
 	$(BIN)/python -W ignore -m benchmarks.speed --runs 2
+
+tuning: $(VENV)/installed           ## the hand controller tuned by CMA-ES and Bayesian optimization with as many episodes as a learner has
+	$(BIN)/pip install --disable-pip-version-check --quiet --constraint constraints.txt --editable ".[benchmark]"
+	$(BIN)/python -W ignore -m benchmarks.tuning
 
 latency: $(VENV)/installed          ## an exported policy beside the trainer's chain: latency, missed deadlines, memory, frozen episodes
 	$(BIN)/python -W ignore -m benchmarks.deploy

@@ -39,6 +39,19 @@ def test_an_exported_policy_is_measured_beside_the_trainers_chain():
 
 
 @pytest.mark.slow
+def test_the_controller_is_tuned_by_every_method_for_every_goal():
+    for package in ("optuna", "cmaes"):
+        pytest.importorskip(package)
+    options = ["--episodes", "24", "--seeds", "1"]
+    command = [sys.executable, "-W", "ignore", "-m", "benchmarks.tuning", *options]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    rows = [line for line in done.stdout.splitlines() if line.startswith(("| 0 |", "| 24 |"))]
+    assert len(rows) == 1 + 2 * 2
+    assert all(row.endswith(" % |") for row in rows)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["rrl", "rrl-plain", "rrl-default", "cleanrl", "torchrl", *NEEDS])
 def test_a_contender_trains(name):
     pytest.importorskip(NEEDS.get(name, "rrl"))
