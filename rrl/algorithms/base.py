@@ -170,7 +170,8 @@ class Agent(nn.Module, ABC):
             transitions: ``[n]``, as for :meth:`update`.
 
         Returns:
-            ``gamma``, ``reward_scale`` and, of every input that was standardized, center and scale.
+            ``gamma``, ``penalty_updates``, ``reward_scale`` and, of every input that was
+            standardized, center and scale.
         """
         inputs = dict[NestedKey, Any]()
         if self.settings.reward_scale is None:
@@ -178,7 +179,8 @@ class Agent(nn.Module, ABC):
         for reading in self.readings if self.symmetry is None else ():
             inputs |= reading.calibrate(transitions)
         self.is_calibrated = True
-        return {"gamma": self.gamma, "reward_scale": float(self.reward_scale), "inputs": inputs}
+        lengths = {"gamma": self.gamma, "penalty_updates": self.penalty_updates}
+        return {**lengths, "reward_scale": float(self.reward_scale), "inputs": inputs}
 
     def _reward_factor(self, transitions: TensorDictBase) -> float:
         # Whether rewards are sums of several stands beside them: a successor is never told.

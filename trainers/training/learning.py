@@ -78,6 +78,7 @@ class Learning:
 
     def _derive(self) -> None:
         derived = self.agent.calibrate(self.store.newest())
-        derived["warmup_steps"] = self.settings.warmup_steps
+        lengths = ("warmup_steps", "controller_steps")
+        derived |= {name: getattr(self.settings, name) for name in lengths}
         derived["inputs"] = {str(key): entry for key, entry in derived["inputs"].items()}
         write_atomically(self.run_dir / DERIVED, yaml.safe_dump(derived, sort_keys=False))

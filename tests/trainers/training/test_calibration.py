@@ -25,6 +25,8 @@ def test_a_run_writes_what_it_derived(make_trainer):
     trainer = run(make_trainer(agent=DERIVING, warmup_steps=None))
     derived = yaml.safe_load((trainer.run_dir / "derived.yaml").read_text())
     assert derived["warmup_steps"] == trainer.settings.warmup_steps
+    assert derived["controller_steps"] == trainer.settings.controller_steps
+    assert derived["penalty_updates"] == trainer.agent.penalty_updates
     assert derived["gamma"] == trainer.agent.gamma == trainer.store.gamma
     assert (
         derived["reward_scale"] >= float(trainer.agent.reward_scale) > 0
