@@ -14,10 +14,11 @@ EXECUTED_ACTION = "executed_action"
 PREVIOUS_ACTION = "previous_action"
 """What the policy said in the last steps, oldest first."""
 
-OBSERVATION = "observation"
-"""The features that the actor reads, and critics too unless they read other entries."""
+OBSERVATION = "_observation"
+"""The features that the actor reads, and critics too unless they read other entries; no entry of an
+environment is called so, as many are called "observation"."""
 
-CRITIC_OBSERVATION = "critic_observation"
+CRITIC_OBSERVATION = "_critic_observation"
 """The features that only the critics read."""
 
 SUCCESS = "success"

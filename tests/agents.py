@@ -63,7 +63,8 @@ def critics(loss: Any, params: str) -> Iterator[Any]:
     for one in getattr(loss, params).unbind(0):
 
         def q(observation: Tensor, action: Tensor, one: Any = one) -> Tensor:
-            td = TensorDict({"observation": observation, "action": action}, observation.shape[:-1])
+            first = loss.qvalue_network.in_keys[0]
+            td = TensorDict({first: observation, "action": action}, observation.shape[:-1])
             with one.data.to_module(loss.qvalue_network):
                 return loss.qvalue_network(td)["state_action_value"].squeeze(-1)
 

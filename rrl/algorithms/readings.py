@@ -32,6 +32,9 @@ class Reading:
         inputs: The entries.
         make_encoder: Makes the encoder.
         taught_by_policy: Whether an encoder that learns does so with the policy, not the critics.
+
+    Attributes:
+        augmented: The entries that :meth:`augment` changes.
     """
 
     def __init__(
@@ -42,6 +45,7 @@ class Reading:
         taught_by_policy: bool = False,
     ) -> None:
         self.key, self.keys, self.taught_by_policy = key, list(inputs), taught_by_policy
+        self.augmented = list(inputs)
         self.encoder: Any = make_encoder(inputs)
 
     @property
@@ -69,7 +73,8 @@ class Reading:
         if self.learned and hasattr(self.encoder, "augment"):
             values = self.encoder.augment(*(batch.get(key) for key in self.keys))
             for key, value in zip(self.keys, values, strict=True):
-                batch.set(key, value)
+                if key in self.augmented:
+                    batch.set(key, value)
 
     def read(self, batch: TensorDictBase, learning: bool) -> None:
         """Set the features of a training batch, unless :meth:`prepare` has."""
@@ -97,14 +102,25 @@ class Readings:
         actor: The actor's.
         critic: The critics'.
         learn: Whether an encoder learns.
+
+    Raises:
+        ValueError: If an entry is called as features are.
     """
 
     def __init__(self, inputs: Inputs, critic_inputs: Inputs, make_encoder: EncoderFactory) -> None:
+        for key in (OBSERVATION, CRITIC_OBSERVATION):
+            if key in inputs or key in critic_inputs:
+                raise ValueError(
+                    f"inputs: expected no entry called {key!r}, which is where features go; "
+                    "rename it (torchrl.envs.RenameTransform)"
+                )
         shared = not critic_inputs
         self.actor = Reading(OBSERVATION, inputs, make_encoder, taught_by_policy=not shared)
         self.critic = self.actor
         if not shared:
             self.critic = Reading(CRITIC_OBSERVATION, critic_inputs, make_encoder)
+            if self.actor.learned:  # what both read is augmented once
+                self.critic.augmented = [k for k in critic_inputs if k not in inputs]
         self._all = [self.actor] if shared else [self.actor, self.critic]
         self.learn = any(reading.learned for reading in self._all)
 

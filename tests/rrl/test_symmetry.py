@@ -9,6 +9,7 @@ from tensordict import TensorDict
 
 from agents import ACTION, OBSERVATION, batches, make_agent, parameters
 from rrl.algorithms import DDPG, SAC, TD3
+from rrl.keys import OBSERVATION as FEATURES
 from rrl.symmetry import Symmetry
 
 LEFT_RIGHT = ([-2, -1, 3, 4, 5], [-1, 2])
@@ -109,11 +110,9 @@ def test_every_image_is_learned_from_with_its_reward(monkeypatch):
     agent.update(data.clone())
     (given,) = seen
     images = MIRRORS.images(data["observation"])
-    which = (images == given["observation"].unsqueeze(-2)).all(-1).long().argmax(-1)
-    assert torch.equal(given["observation"], MIRRORS.reflect(data["observation"], which))
-    assert torch.equal(
-        given["next", "observation"], MIRRORS.reflect(data["next", "observation"], which)
-    )
+    which = (images == given[FEATURES].unsqueeze(-2)).all(-1).long().argmax(-1)
+    assert torch.equal(given[FEATURES], MIRRORS.reflect(data["observation"], which))
+    assert torch.equal(given["next", FEATURES], MIRRORS.reflect(data["next", "observation"], which))
     assert torch.equal(given["action"], MIRRORS.reflect_action(data["action"], which))
     assert torch.equal(given["next", "reward"], data["next", "reward"])
     torch.testing.assert_close(

@@ -13,6 +13,7 @@ from torchrl.modules import AdditiveGaussianModule, TanhNormal
 from agents import ACTION, BATCH, OBSERVATION, batches, critics, learn, make_agent, parameters
 from rrl.algorithms import DDPG, SAC, TD3, mlp, no_exploration
 from rrl.controllers import ProportionalController
+from rrl.keys import OBSERVATION as FEATURES
 from rrl.trainers import EnvironmentFactory, Trainer, TrainerSettings
 from toy_envs import EPISODE_STEPS, PointMass
 
@@ -165,23 +166,23 @@ def test_sacs_critic_learns_the_soft_bellman_target():
     """The target, written out: r + gamma (1 - terminated) (min Q' - alpha log pi)."""
     agent = make_agent(SAC, last_layer_bound=0.3, initial_temperature=0.7, gamma=0.9)
     learn(agent, 3)
-    batch = batches(1)[0]
+    batch = agent.readings.prepare(batches(1))[0]
     temperature = agent.loss.log_alpha.detach().exp()
     torch.manual_seed(2)
     loss, _ = agent.value_loss(batch)
     with torch.no_grad():
-        following = batch["next"].select("observation")
-        head = agent.policy[0](following)
+        features = batch["next", FEATURES]
+        head = agent.policy[0](TensorDict({"observation": features}, [BATCH]))
         torch.manual_seed(2)
         before = head["_loc"] + head["_scale"] * torch.randn(BATCH, ACTION)
         density = TanhNormal(head["_loc"], head["_scale"], event_dims=1)
-        inputs = batch["next", "observation"], before.tanh()
+        inputs = features, before.tanh()
         values = [q(*inputs) for q in critics(agent.loss, "target_qvalue_network_params")]
         soft = torch.stack(values).min(0)[0] - temperature * density.log_prob(before.tanh())
         goes_on = ~batch["next", "terminated"].squeeze(-1)
         target = batch["next", "reward"].squeeze(-1) + 0.9 * goes_on * soft
         now = [
-            q(batch["observation"], batch["action"])
+            q(batch[FEATURES], batch["action"])
             for q in critics(agent.loss, "qvalue_network_params")
         ]
         expected = (torch.stack(now) - target).square().sum(0).mean()

@@ -73,7 +73,7 @@ def _values(agent, data):
     for params in (getattr(loss, f"{name}_params"), getattr(loss, f"target_{name}_params")):
         for one in [params] if isinstance(agent, DDPG) else params.unbind(0):
             with one.data.to_module(network):
-                found.append(network(data.select("observation", "action"))["state_action_value"])
+                found.append(network(agent.readings.prepare(data))["state_action_value"])
     return torch.stack(found).detach()
 
 
@@ -195,7 +195,7 @@ def test_a_heavy_penalty_keeps_the_residual_small(algorithm, compiled):
         )
         for seed in range(20):
             learn(agent, 4, seed)
-        action = agent._residual(batches(1)[0].select("observation"))
+        action = agent._residual(agent.readings.prepare(batches(1))[0])
         return mse_loss(action, torch.zeros_like(action))
 
     assert size(100.0) < 0.3 * size(0.0)

@@ -8,6 +8,7 @@ from ensembles import TORCHRL, each_loss, make_loss
 
 from agents import ACTION, BATCH, batches, critics, learn, make_agent, parameters
 from rrl.algorithms import SAC, TD3, EnsembleSACLoss, EnsembleTD3Loss
+from rrl.keys import OBSERVATION as FEATURES
 
 ENSEMBLE = {"num_critics": 5, "target_subset": 2, "layer_norm": True, "last_layer_bound": 0.1}
 
@@ -22,23 +23,23 @@ def drawn_critics(count, size):
 def test_the_target_is_the_least_of_the_drawn_critics():
     agent = make_agent(gamma=0.9, **ENSEMBLE)
     learn(agent, 6, seed=3)
-    batch = batches(1)[0]
+    batch = agent.readings.prepare(batches(1))[0]
     torch.manual_seed(2)
     loss, info = agent.value_loss(batch)
     torch.manual_seed(2)
     noise = (0.2 * torch.randn(BATCH, ACTION)).clamp(-0.5, 0.5)
     drawn = drawn_critics(5, 2)
     with torch.no_grad():
-        following = batch["next"].select("observation")
+        following = batch["next"].select(FEATURES)
         with agent.loss.target_actor_network_params.data.to_module(agent.loss.actor_network):
             action = agent.loss.actor_network(following)["action"] + noise
-        inputs = batch["next", "observation"], action.clamp(-1, 1)
+        inputs = batch["next", FEATURES], action.clamp(-1, 1)
         values = [q(*inputs) for q in critics(agent.loss, "target_qvalue_network_params")]
         least = torch.stack(values)[drawn].amin(0)
         goes_on = ~batch["next", "terminated"].squeeze(-1)
         target = batch["next", "reward"].squeeze(-1) + 0.9 * goes_on * least
         now = [
-            q(batch["observation"], batch["action"])
+            q(batch[FEATURES], batch["action"])
             for q in critics(agent.loss, "qvalue_network_params")
         ]
     expected = (torch.stack(now) - target).square().sum(0).mean()

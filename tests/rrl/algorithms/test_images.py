@@ -23,17 +23,11 @@ LEARNERS = {
 each_learner = pytest.mark.parametrize("learner", LEARNERS)
 
 
-def make(learner, seed=0, **arguments):
+def make(learner, seed=0, inputs=INPUTS, **arguments):
     torch.manual_seed(seed)
     encoder = partial(automatic, channels=[4, 4], kernels=[3, 3], strides=[2, 2], features=6)
-    return LEARNERS.get(learner, learner)(
-        INPUTS,
-        2,
-        network=partial(mlp, hidden=[16]),
-        encoder=encoder,
-        last_layer_bound=0.1,
-        **arguments,
-    )
+    given = {"encoder": encoder, "network": partial(mlp, hidden=[16]), "last_layer_bound": 0.1}
+    return LEARNERS.get(learner, learner)(inputs, 2, **given | arguments)
 
 
 def batches(k):
@@ -101,6 +95,75 @@ def test_random_numbers_come_from_torchs_generator(learner, critic_inputs):
     for name, value in parameters(one).items():
         assert torch.equal(value, parameters(same)[name]), name
     assert any(not torch.equal(v, parameters(other)[n]) for n, v in parameters(one).items())
+
+
+def renamed(entries, **names):
+    return {names.get(key, key): entry for key, entry in entries.items()}
+
+
+@each_learner
+@pytest.mark.parametrize("name", ["observation", "critic_observation"])
+@pytest.mark.parametrize(
+    ("inputs", "critic_inputs"),
+    [
+        (INPUTS, {**INPUTS, **POSES}),
+        (INPUTS, POSES),
+        ({"vector": INPUTS["vector"]}, INPUTS),
+        (INPUTS, {"vector": INPUTS["vector"]}),
+    ],
+)
+def test_an_entry_may_have_any_name(learner, name, inputs, critic_inputs):
+    agents = []
+    for names in ({}, {"vector": name}):
+        agent = make(
+            learner, inputs=renamed(inputs, **names), critic_inputs=renamed(critic_inputs, **names)
+        )
+        torch.manual_seed(0)
+        data = batches(3)
+        for half in (data, data["next"]):
+            for old, new in names.items():
+                half.rename_key_(old, new)
+        agent.calibrate(data.reshape(-1))
+        agent.update(data)
+        agents.append(parameters(agent))
+    expected, found = agents
+    assert found.keys() == expected.keys()
+    for key, value in expected.items():
+        assert torch.equal(found[key], value), key
+
+
+def test_the_name_of_features_is_refused():
+    with pytest.raises(ValueError, match=r"inputs: expected no entry called '_observation'"):
+        make("TD3", inputs=renamed(INPUTS, vector="_observation"))
+
+
+class Counting(torch.nn.Module):
+    """Learns a factor; augmenting adds one, and what it reads is kept."""
+
+    out_features = 1
+
+    def __init__(self, inputs):
+        super().__init__()
+        self.factor, self.seen = torch.nn.Parameter(torch.ones(1)), []
+
+    def augment(self, *values):
+        return [value + 1 for value in values]
+
+    def forward(self, *values):
+        self.seen += values
+        return self.factor * sum(value.mean(-1, keepdim=True) for value in values)
+
+
+def test_what_actor_and_critics_read_is_augmented_once():
+    vector, pose = {"vector": Input(shape=(2,))}, {"pose": Input(shape=(4,))}
+    agent = make("TD3", inputs=vector, critic_inputs={**vector, **pose}, encoder=Counting)
+    learn(agent)
+    data = batches(2)
+    augmented = [data[i][place] + 1 for i in range(2) for place in ("vector", ("next", "vector"))]
+    for encoder in agent.encoders:
+        seen = [value for value in encoder.seen if value.shape[-1] == 2]
+        assert seen
+        assert all(any(torch.equal(v, known) for known in augmented) for v in seen)
 
 
 def test_an_agent_starts_from_the_encoder_of_another():

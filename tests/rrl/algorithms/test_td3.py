@@ -25,7 +25,7 @@ def test_equals_torchrl_loss_adam_and_soft_update():
     targets = SoftUpdate(loss, tau=0.005)
     torch.manual_seed(1)
     for i in range(k):
-        batch = data[i].clone()
+        batch = agent.readings.prepare(data)[i]
         batch["next", "reward"] *= 2.0
         critic.zero_grad()
         loss.value_loss(batch)[0].backward()
