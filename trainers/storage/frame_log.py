@@ -53,32 +53,41 @@ class FrameLog:
     """The frames of one observation entry, numbered from 0 in the order in which they were stored.
 
     Args:
-        folder: Where the files lie; opened if it has any, else made.
-        key: The entry, its names as a list; of a new log.
-        image: Shape of the entry's images; of a new log.
-        frame: Shape of a frame ``[C, H, W]``; of a new log.
+        folder: Where the files lie; :meth:`create` makes it.
 
     Raises:
-        ValueError: If ``image.json`` is of another version or unreadable.
+        ValueError: If ``image.json`` is missing, of another version or unreadable.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        key: Sequence[str] = (),
-        image: Sequence[int] = (),
-        frame: Sequence[int] = (),
-    ) -> None:
+    def __init__(self, folder: Path) -> None:
         self.folder = folder
-        if not (folder / ABOUT).is_file():
-            about = {"version": VERSION, "key": list(key), "image": list(image)}
-            about |= {"frame": list(frame), "frames_per_file": FRAMES_PER_FILE}
-            folder.mkdir(parents=True, exist_ok=True)
-            write_atomically(folder / ABOUT, json.dumps(about, indent=1) + "\n")
         self._read_about()
         self._index = TransitionLog(folder / INDEX)
         self._last: Frames | None = None
         self._unsynced: set[Path] = set()
+
+    @classmethod
+    def create(
+        cls, folder: Path, key: Sequence[str], image: Sequence[int], frame: Sequence[int]
+    ) -> FrameLog:
+        """Make a log without frames.
+
+        Args:
+            folder: Where the files will lie.
+            key: The entry, its names as a list.
+            image: Shape of the entry's images.
+            frame: Shape of a frame ``[C, H, W]``.
+        """
+        about = {"version": VERSION, "key": list(key), "image": list(image)}
+        about |= {"frame": list(frame), "frames_per_file": FRAMES_PER_FILE}
+        folder.mkdir(parents=True, exist_ok=True)
+        write_atomically(folder / ABOUT, json.dumps(about, indent=1) + "\n")
+        return cls(folder)
+
+    @staticmethod
+    def folders(parent: Path) -> list[Path]:
+        """Return where logs lie; a folder without ``image.json`` is what a kill has left."""
+        return sorted(path.parent for path in parent.glob(f"images_*/{ABOUT}"))
 
     @property
     def count(self) -> int:
@@ -184,7 +193,7 @@ class FrameLog:
             version, self.key = about["version"], tuple(about["key"])
             self.image, self.frame = tuple(about["image"]), tuple(about["frame"])
             self._per_file = int(about["frames_per_file"])
-        except (ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, KeyError, TypeError) as error:
             raise ValueError(f"{path} does not describe frames: {error}") from error
         if version != VERSION:
             raise ValueError(f"{path} has version {version}, this code reads {VERSION}")

@@ -40,7 +40,7 @@ class StoredImages:
     def __init__(self, folder: Path, device: str = "cpu") -> None:
         self._folder, self._device = folder, device
         self._entries: dict[NestedKey, _Entry] = {}
-        for path in sorted(folder.glob("images_*")):
+        for path in FrameLog.folders(folder):
             self._add(_Entry(FrameLog(path), FrameMemory(device)))
 
     def __bool__(self) -> bool:
@@ -147,7 +147,8 @@ class StoredImages:
     def _create(self, key: NestedKey, shape: torch.Size) -> None:
         folder = self._folder / f"images_{len(self._entries):02d}"
         names = [key] if isinstance(key, str) else list(key)
-        log = FrameLog(folder, names, shape, _frames(torch.zeros(1, *shape), shape).shape[2:])
+        frame = _frames(torch.zeros(1, *shape), shape).shape[2:]
+        log = FrameLog.create(folder, names, shape, frame)
         self._add(_Entry(log, FrameMemory(self._device)))
 
     def _add(self, entry: _Entry) -> None:

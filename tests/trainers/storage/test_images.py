@@ -1,6 +1,9 @@
 """Frames are stored once, come back as they were, and what was damaged is known."""
 
 import json
+import multiprocessing
+import os
+import signal
 
 import numpy as np
 import pytest
@@ -30,7 +33,7 @@ def small(monkeypatch):
 
 @pytest.fixture
 def log(small, tmp_path):
-    return FrameLog(tmp_path / "images_00", ["pixels"], [SIDE, SIDE, 3], [3, SIDE, SIDE])
+    return FrameLog.create(tmp_path / "images_00", ["pixels"], [SIDE, SIDE, 3], [3, SIDE, SIDE])
 
 
 @pytest.mark.parametrize("moving", [False, True])
@@ -102,6 +105,12 @@ def test_an_unreadable_description_is_named(log):
     (log.folder / "image.json").write_text(json.dumps({"version": 1}))
     with pytest.raises(ValueError, match=r"image.json does not describe frames"):
         FrameLog(log.folder)
+
+
+def test_opening_makes_nothing(tmp_path):
+    with pytest.raises(ValueError, match=r"image.json does not describe frames: .*No such file"):
+        FrameLog(tmp_path / "images_00")
+    assert not list(tmp_path.iterdir())
 
 
 def collected(shape, steps=12, envs=2, seed=0, stacked=1, start=None):
@@ -225,6 +234,45 @@ def test_a_checkpoint_whose_frames_are_gone_is_refused(tmp_path):
     entry.log.cut(3)
     with pytest.raises(ValueError, match=r"images_00: expected 30 frames, got 3"):
         store.check(mark)
+
+
+def _killed_while_describing(run_dir, entry):
+    write = frame_log.write_atomically
+
+    def kill(path, text):
+        if json.loads(text)["key"] == [entry]:
+            os.kill(os.getpid(), signal.SIGKILL)
+        write(path, text)
+
+    frame_log.write_atomically = kill
+    ReplayStore(run_dir, 100, 4).extend(two_cameras())
+
+
+def two_cameras():
+    data, _ = collected((8, 8, 3))
+    for half in (data, data["next"]):
+        half["wrist"] = half["pixels"] + 1
+    return data
+
+
+@pytest.mark.parametrize("entry", ["pixels", "wrist"])
+def test_a_kill_before_the_first_frame_leaves_a_run_that_goes_on(tmp_path, entry):
+    victim = multiprocessing.get_context("fork").Process(
+        target=_killed_while_describing, args=(tmp_path, entry)
+    )
+    victim.start()
+    victim.join()
+    assert victim.exitcode == -signal.SIGKILL
+    data = two_cameras()
+    store = ReplayStore(tmp_path, 100, 4)
+    assert store.count == store.pending == 0
+    store.set_pending_aside()
+    store.extend(data)
+    again = ReplayStore(tmp_path, 100, 4)
+    again.load_state_dict(store.state_dict())
+    for one in (store, again):
+        assert (one.newest() == data.transpose(0, 1).reshape(-1)).all()
+    assert len(list(store.log.folder.glob("images_*"))) == 2
 
 
 def test_transitions_without_images_are_stored_as_ever(tmp_path):
