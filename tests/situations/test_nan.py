@@ -56,6 +56,17 @@ class Flaky(Robot):
         return out.set("reward", out["reward"] + 0.0 * out["target"][..., :1])
 
 
+class BlindAtResets(Machine):
+    """Its target is NaN at every third reset."""
+
+    resets = 0
+
+    def _reset(self, tensordict=None):
+        self.resets += 1
+        out = super()._reset(tensordict)
+        return out.set("target", out["target"] / 0.0) if self.resets % 3 == 0 else out
+
+
 class FlakyController(ProportionalController):
     """It gives NaN of its own every twentieth time."""
 
@@ -71,6 +82,7 @@ class FlakyController(ProportionalController):
     [
         (Flaky, ProportionalController, "native", "target"),
         (Flaky, ProportionalController, "serial", "target"),
+        (partial(BlindAtResets, ENTRIES), ProportionalController, "serial", "target"),
         (partial(Machine, ENTRIES), FlakyController, "serial", "base_action"),
     ],
 )

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import torch
 from tensordict import NestedKey, TensorDictBase
+from torch import Tensor
 from torchrl.data import Binary, Composite
 
 from rrl.checks import check_whole, require
@@ -25,17 +26,21 @@ class FiniteObservation(SlotTransform):
 
     In the list it stands last, so that it sees what the policy reads. In such a step the slot's
     entries keep the value of the step before, a reward becomes zero, and the episode is truncated:
-    nobody acts on what was put in, and the transition can be learned from. What is not finite at a
-    reset stays, for there is nothing to keep; :class:`~rrl.FiniteAction` holds the command then.
+    nobody acts on what was put in, and the transition can be learned from. At a reset they keep
+    what the slot showed last, or zeros if it has shown nothing yet, and the episode ends with its
+    first step. In that step the transforms before this one get NaN as they gave it, so that
+    :class:`~rrl.FiniteAction` holds the command where the controller's action was lost.
     An environment that resets itself within a step cannot be told to end, and goes on.
 
     env -> policy: reads and corrects ``in_keys`` and ``reward_key``; sets "truncated" and "done";
-    writes ("safety", "observation"), bool ``[*batch, 1]``: whether the step had such a number.
+    writes ("safety", "observation"), bool ``[*batch, 1]``: whether the step or the reset had such a
+    number, or the step ends an episode whose reset had.
+    policy -> env: gives NaN back, see above.
 
     Args:
         in_keys: Observations ``[*batch, ...]``; what is not of floating point is left alone.
-        patience: How many steps with such a number are borne without an episode that ends well
-            between them; a sensor that is gone for good is not a matter of luck.
+        patience: How many steps and resets with such a number are borne without an episode that
+            ends well between them; a sensor that is gone for good is not a matter of luck.
         reward_key: The reward ``[*batch, 1]``.
 
     Raises:
@@ -54,45 +59,86 @@ class FiniteObservation(SlotTransform):
         self._reward_key, self._in_a_row = reward_key, 0
 
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
-        return {"flag": torch.zeros((*td.batch_size, 1), dtype=torch.bool, device=td.device)}
+        lost = self._replace(td, self.in_keys, mask)
+        if lost:
+            self._bear(lost)
+        flag = _any_of(lost, td)
+        return self._known(td) | self._lost(td, lost) | {"flag": flag, "blind": flag}
 
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
-        flag, broken = self._first(next_td, mask)["flag"], self._not_finite(next_td)
-        for key in broken:
-            value = next_td.get(key)
-            lost = ~value.isfinite().reshape(*next_td.batch_size, -1).all(-1)
-            if self.resets_itself():  # what TorchRL puts in the place of an episode's last entries
-                lost = lost & ~any_done(next_td)
-            lost = lost if mask is None else lost & mask
-            kept = torch.zeros_like(value) if key == self._reward_key else td.get(key)
-            next_td.set(key, merge(lost, kept, value))
-            flag = flag | lost.unsqueeze(-1)
+        among = mask
+        if self.resets_itself():  # what an episode that has started shows is a reset's
+            goes_on = ~any_done(next_td)
+            among = goes_on if mask is None else goes_on & mask
+        lost = self._replace(next_td, (*self.in_keys, self._reward_key), among)
+        if lost:
+            self._bear(lost)
+        flag = _any_of(lost, next_td) | self.recall("blind")
+        if mask is not None:
+            flag = flag & mask.unsqueeze(-1)
         if flag.any():
-            self._bear(broken)
             if not self.resets_itself():
                 truncate(next_td, flag)
         elif any_done(next_td).any():
             self._in_a_row = 0
-        return {"flag": flag}
+        blind = torch.zeros_like(flag)
+        return self._known(next_td) | self._lost(next_td, {}) | {"flag": flag, "blind": blind}
 
-    def _bear(self, broken: Sequence[NestedKey]) -> None:
+    def _outputs(self) -> Iterable[Tensor]:
+        return [self.memory["flag"]]
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        if self.memory and self.memory["blind"].any():
+            present = [key for key in self.in_keys if key in tensordict.keys(True, True)]
+            for key, value in self._floats(tensordict, present).items():
+                nothing = torch.full_like(value, torch.nan)
+                tensordict.set(key, merge(self.memory[f"lost {key}"], nothing, value))
+        return tensordict
+
+    def _replace(
+        self, td: TensorDictBase, keys: Iterable[NestedKey], mask: Mask
+    ) -> dict[NestedKey, Tensor]:
+        """Put what was known last in the place of what is not finite.
+
+        Returns:
+            Of every entry with such a number, in which slots, bool ``[*batch]``.
+        """
+        values = self._floats(td, keys)
+        if not values or torch.cat([value.flatten() for value in values.values()]).isfinite().all():
+            return {}
+        lost = {}
+        for key, value in values.items():
+            slots = ~value.isfinite().reshape(*td.batch_size, -1).all(-1)
+            slots = slots if mask is None else slots & mask
+            if slots.any():
+                lost[key] = slots
+                kept = self.memory.get(f"known {key}", torch.zeros_like(value))
+                td.set(key, merge(slots, kept, value))
+        return lost
+
+    def _known(self, td: TensorDictBase) -> Memory:
+        # Copies: an environment may change its own tensors in place.
+        values = self._floats(td, self.in_keys)
+        return {f"known {key}": value.clone() for key, value in values.items()}
+
+    def _lost(self, td: TensorDictBase, lost: Mapping[NestedKey, Tensor]) -> Memory:
+        nowhere = torch.zeros(td.batch_size, dtype=torch.bool, device=td.device)
+        return {f"lost {key}": lost.get(key, nowhere) for key in self._floats(td, self.in_keys)}
+
+    def _floats(self, td: TensorDictBase, keys: Iterable[NestedKey]) -> dict[NestedKey, Tensor]:
+        values = {key: require(self, td, key) for key in keys}
+        return {key: value for key, value in values.items() if value.is_floating_point()}
+
+    def _bear(self, broken: Iterable[NestedKey]) -> None:
         names = ", ".join(map(str, broken))
         self._in_a_row += 1
         if self._in_a_row > self.patience:
             raise FloatingPointError(
                 f"{names}: expected finite numbers, got NaN or infinity in {self._in_a_row} steps "
-                "without an episode that ended well between them; see to the sensor, the "
+                "or resets without an episode that ended well between them; see to the sensor, the "
                 "controller or the reward that gives them"
             )
         log.warning("%s: NaN or infinity; the episode ends, and what was known last is kept", names)
-
-    def _not_finite(self, td: TensorDictBase) -> list[NestedKey]:
-        """Return the entries in which something is not finite, most often none."""
-        values = {key: require(self, td, key) for key in (*self.in_keys, self._reward_key)}
-        floats = {key: value for key, value in values.items() if value.is_floating_point()}
-        if torch.cat([value.flatten() for value in floats.values()]).isfinite().all():
-            return []
-        return [key for key, value in floats.items() if not value.isfinite().all()]
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the flag that says whether the step's numbers were finite."""
@@ -101,3 +147,11 @@ class FiniteObservation(SlotTransform):
         shape = (*observation_spec.shape, 1)
         flag = Binary(n=1, shape=shape, dtype=torch.bool, device=observation_spec.device)
         return self.add_spec(observation_spec, self.FLAG, flag, "name of the limit")
+
+
+def _any_of(lost: Mapping[NestedKey, Tensor], td: TensorDictBase) -> Tensor:
+    """Return the slots of any entry, bool ``[*batch, 1]``."""
+    flag = torch.zeros((*td.batch_size, 1), dtype=torch.bool, device=td.device)
+    for slots in lost.values():
+        flag = flag | slots.unsqueeze(-1)
+    return flag

@@ -4,8 +4,9 @@ import pytest
 import torch
 from torchrl.envs import SerialEnv, TransformedEnv
 
-from rrl.transforms import FiniteObservation
-from toy_envs import PointMass
+from rrl.controllers import ProportionalController
+from rrl.transforms import FiniteAction, FiniteObservation, ResidualAction
+from toy_envs import EPISODE_STEPS, PointMass, ResetsItself
 from transform_cases import POSITION, drive, random_actions
 
 FLAG = FiniteObservation.FLAG
@@ -75,3 +76,93 @@ def test_an_episode_that_ends_well_restores_patience():
         env.base_env.bad = 0.0
         drive(env, random_actions(60, 1, 2))
         env.base_env.broken, env.base_env.bad = "goal", torch.nan
+
+
+class BlindAtReset(PointMass):
+    """One slot's goal is not finite in the observation of a reset."""
+
+    blind, bad, commands = True, torch.nan, ()
+
+    def _reset(self, tensordict=None):
+        out = super()._reset(tensordict)
+        if self.blind:
+            goal = out["goal"].clone()
+            goal[0, ..., 0] = self.bad
+            out["goal"] = goal
+        return out
+
+    def _step(self, tensordict):
+        self.commands = (*self.commands, tensordict["action"])
+        return super()._step(tensordict)
+
+
+@pytest.mark.parametrize("bad", [torch.nan, torch.inf])
+def test_zeros_stand_at_the_first_reset_and_its_step_ends_the_episode(bad):
+    env = TransformedEnv(BlindAtReset([2]), FiniteObservation([POSITION, "goal"]))
+    env.base_env.bad = bad
+    start, first = drive(env, random_actions(1, 2, 2))
+    assert start["goal"][0].tolist() == [0.0, 0.0]
+    assert start[FLAG].flatten().tolist() == [True, False]
+    for flag in (FLAG, "truncated", "done"):
+        assert first["next"][flag].flatten().tolist() == [True, False]
+    assert first["next", "goal"].isfinite().all()
+
+
+def test_what_the_slot_showed_last_stands_at_a_reset():
+    env = TransformedEnv(BlindAtReset([2]), FiniteObservation([POSITION, "goal"]))
+    env.base_env.blind = False
+    td = env.rollout(3)[:, -1]["next"]
+    env.base_env.blind = True
+    mask, again = torch.tensor([[True], [False]]), td.clone()
+    for reset in (mask, torch.ones(2, 1, dtype=torch.bool), ~mask):
+        again = env.reset(again.set("_reset", reset))
+        assert torch.equal(again["goal"][0], td["goal"][0])
+        assert again[FLAG].flatten().tolist()[0]
+    env.base_env.blind = False
+    td = env.step(env.rand_action(again))["next"]
+    assert td["done"].flatten().tolist() == [True, False]
+    td = env.step(env.rand_action(env.reset(td.set("_reset", td["done"]))))["next"]
+    assert not td["done"].any()
+    assert not td[FLAG].any()
+
+
+def test_no_command_of_a_controller_that_was_blind_is_executed():
+    env = TransformedEnv(BlindAtReset([2]))
+    for transform in (
+        FiniteAction("zero"),
+        ResidualAction(ProportionalController(POSITION, "goal"), scale=0.5),
+        FiniteObservation(["goal", "base_action"]),
+    ):
+        env.append_transform(transform)
+    seen = drive(env, random_actions(1, 2, 2))
+    (command,) = env.base_env.commands
+    assert command[0].tolist() == [0.0, 0.0]
+    assert (command[1] != 0).any()
+    for record in seen:
+        assert all(v.isfinite().all() for v in record.values(True, True) if v.is_floating_point())
+
+
+def test_a_sensor_that_is_gone_at_resets_is_not_borne_for_ever():
+    env = TransformedEnv(BlindAtReset([1]), FiniteObservation(["goal"], patience=2))
+    for _ in range(2):
+        drive(env, random_actions(1, 1, 2))
+    with pytest.raises(FloatingPointError, match=r"goal: expected finite numbers, .* in 3 steps"):
+        env.reset()
+
+
+class BlindAndResetsItself(ResetsItself, BlindAtReset):
+    pass
+
+
+def test_an_environment_that_resets_itself_goes_on():
+    env = TransformedEnv(BlindAndResetsItself([2]), FiniteObservation([POSITION, "goal"]))
+    env.base_env.blind = False
+    td = env.reset()
+    env.base_env.blind = True
+    for step in range(1, 2 * EPISODE_STEPS + 3):
+        before = td["goal"]
+        out, td = env.step_and_maybe_reset(env.rand_action(td))
+        assert td["goal"].isfinite().all()
+        assert out["next", "done"].all() == (step % EPISODE_STEPS == 0)
+        if out["next", "done"].any():
+            assert torch.equal(td["goal"][0], before[0])
