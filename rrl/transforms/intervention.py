@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -20,6 +21,8 @@ from rrl.transforms.residual_action import ResidualAction
 
 __all__ = ["Intervention"]
 
+log = logging.getLogger(__name__)
+
 ROUNDING = 1e-6
 """Half ranges by which a command may exceed the residual's authority before it is flagged."""
 
@@ -35,7 +38,8 @@ class Intervention(ActionTransform):
         (command - base_action) / (scale * half_range),
 
     clipped to [-1, 1]; where it had to be clipped the step is flagged. Dimensions with a scale of 0
-    count as 0. :func:`~rrl.interventions.relabel_interventions` puts it in the place of the
+    count as 0, and so does a base action that is not finite. A command that is not finite counts as
+    not taken over. :func:`~rrl.interventions.relabel_interventions` puts it in the place of the
     policy's action, in a collector's ``postproc`` or before ``ReplayBuffer.extend``.
 
     After a handover, in either direction, the command goes from the last one straight to the new
@@ -83,6 +87,7 @@ class Intervention(ActionTransform):
         )
         self.operator = module if isinstance(module, Controller) else _WithoutMemory(module)
         self.step_limit = per_dimension("step_limit", step_limit, positive=True)
+        self._has_warned = False
 
     def residual_action(self) -> ResidualAction:
         """Return the transform that an operator overrules.
@@ -110,7 +115,9 @@ class Intervention(ActionTransform):
         span = residual.span()
         change = command - require(self, tensordict, residual.base_action_key)
         active = engaged | blending
-        exceeds = ((change.abs() - span) > ROUNDING * limits.half_range).any(-1, keepdim=True)
+        within = (change.abs() - span) <= ROUNDING * limits.half_range
+        exceeds = ~within.all(-1, keepdim=True)  # so does what differs from a base action of NaN
+        change = torch.where(change.isfinite(), change, 0.0)
         change = torch.where(span == 0, 0.0, change / torch.where(span == 0, 1.0, span))
         given = {
             "active": active,
@@ -175,7 +182,14 @@ class Intervention(ActionTransform):
                 raise ValueError(
                     f"{name}: expected the shape {tuple(expected[name])}, got {tuple(value.shape)}"
                 )
-        return {"engaged": engaged, "wanted": action}
+        known = action.isfinite().all(-1, keepdim=True)
+        lost = engaged & ~known
+        if not self._has_warned and (lost if mask is None else lost & mask.unsqueeze(-1)).any():
+            self._has_warned = True
+            log.warning(
+                "%s: NaN or infinity; such a command counts as not taken over", OPERATOR_ACTION
+            )
+        return {"engaged": engaged & known, "wanted": torch.where(known, action, 0.0)}
 
     def _take_limits(self, action_spec: Composite) -> ActionLimits:
         limits = super()._take_limits(action_spec)

@@ -140,6 +140,40 @@ def test_a_device_among_the_observations_is_an_operator() -> None:
     assert torch.equal(record["next", "intervention", "active"], ~first["success"])
 
 
+@pytest.mark.parametrize("bad", [torch.nan, torch.inf])
+def test_a_command_that_is_not_finite_counts_as_not_taken_over(bad: float, caplog) -> None:
+    def device(position: Tensor) -> tuple[Tensor, Tensor]:
+        command = torch.full_like(position, 0.3)
+        command[0, 1] = bad
+        return command, torch.ones_like(position[:, :1], dtype=torch.bool)
+
+    operator = TensorDictModule(device, [POSITION], ["operator_action", "taken_over"])
+    residual = ResidualAction(proportional(), 0.5)
+    chain = Compose(ControlNoise(), Intervention(operator, FREE), residual)
+    seen = drive(TransformedEnv(PointMass((2,)), chain), random_actions(3, 2, 2))
+    for record in seen[1:]:
+        told = record["next", "intervention"]
+        assert told["active"].flatten().tolist() == [False, True]
+        assert told["action"].isfinite().all()
+        expected = (record["base_action"] + 0.5 * record["action"]).clamp(-1, 1)[0]
+        assert torch.equal(record["next", "executed_action"][0], expected)
+        assert torch.equal(record["next", "executed_action"][1], torch.full((2,), 0.3))
+    assert caplog.text.count("such a command counts as not taken over") == 1
+
+
+def test_beside_a_controller_that_is_lost_an_operator_is_executed_and_exceeds() -> None:
+    class Lost(ZeroController):
+        def act(self, tensordict):
+            return super().act(tensordict) + torch.nan
+
+    chain = Compose(by_hand([0.3, 0.3], [True]), ResidualAction(Lost(), 0.5))
+    env = TransformedEnv(PointMass((1,)), Compose(ControlNoise(), *chain.transforms))
+    record = drive(env, torch.zeros(1, 1, 2))[1]
+    assert torch.equal(record["next", "executed_action"], torch.full((1, 2), 0.3))
+    assert record["next", "intervention", "exceeds"].all()
+    assert torch.equal(record["next", "intervention", "action"], torch.zeros(1, 2))
+
+
 def test_an_operator_who_writes_too_little_is_told() -> None:
     mute = TensorDictModule(lambda x: x, [POSITION], ["operator_action"])
     with pytest.raises(KeyError, match="expected the entry 'taken_over'"):
