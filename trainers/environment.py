@@ -9,15 +9,13 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal
 
-import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torchrl.data import Composite
 from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, TransformedEnv
-from torchrl.envs.transforms import Compose, DoubleToFloat, DTypeCastTransform, Transform
+from torchrl.envs.transforms import Compose, Transform
 
 from rrl.inputs import Input
-from rrl.keys import ACTION, BASE_ACTION, DIVERGED, PREVIOUS_ACTION, SUCCESS
+from rrl.keys import ACTION, BASE_ACTION, PREVIOUS_ACTION
 from rrl.symmetry import Symmetry, as_map
 from rrl.transforms import (
     ActionHistory,
@@ -27,6 +25,7 @@ from rrl.transforms import (
     ResidualAction,
 )
 
+from .conversions import convert
 from .entry_checks import check_action, check_reported
 from .input_entries import as_inputs, read_inputs
 from .metric import Metric
@@ -119,7 +118,7 @@ class EnvironmentFactory:
     The order is the method's: on the way to the policy, sensing faults come before the controller,
     which therefore sees what a real one would see; on the way back the superposition comes first,
     then the disturbance, and safety limits have the last word. An environment in double precision
-    is converted to float32 first.
+    or on another device than the CPU is converted first.
 
     Args:
         base: Makes the bare environment; called as ``base(num_envs=...)`` when ``batching`` is
@@ -197,11 +196,7 @@ class EnvironmentFactory:
             env.append_transform(JudgedSuccess())
         check_action(env.full_action_spec)
         check_reported(env.observation_spec, env.ndim, self.metrics)
-        if any(spec.dtype == torch.float64 for spec in env.specs.values(True, True)):
-            env.append_transform(DoubleToFloat())
-        for key in (SUCCESS, DIVERGED):  # some environments write 0.0 and 1.0
-            if (dtype := _dtype(env.observation_spec, key)) not in (None, torch.bool):
-                env.append_transform(DTypeCastTransform(dtype, torch.bool, in_keys=[key]))
+        convert(env)
         for make in (*self.safety, *self.disturbances, *self.sensing):
             env.append_transform(make())
         if operated and self.intervention is not None:
@@ -282,10 +277,6 @@ class EnvironmentFactory:
             return SerialEnv(num_envs, self.base)
         keep_sockets_short()
         return ParallelEnv(num_envs, [errors.reporting(self.base, i) for i in range(num_envs)])
-
-
-def _dtype(spec: Composite, key: str) -> torch.dtype | None:
-    return spec[key].dtype if key in spec.keys() else None  # noqa: SIM118 - a spec is no dict
 
 
 def _joined(maps: Sequence[Sequence[int]]) -> list[int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import torch
 from torchrl.data import TensorSpec
 from torchrl.envs import EnvBase
 
@@ -66,8 +67,9 @@ def _actions(inputs: Mapping[str, Input], env: EnvBase) -> dict[str, Input]:
     """Return the inputs that are actions, in half ranges if nothing else is said."""
     limits = limits_of(env.base_env.full_action_spec[ACTION])
     half_range = limits.half_range.reshape(-1, limits.half_range.shape[-1])[0]
+    scale = torch.where(half_range == 0, 1.0, 1.0 / half_range)  # without range it never changes
     scales: dict[str, list[float] | float] = {
-        BASE_ACTION: (1.0 / half_range).tolist(),
+        BASE_ACTION: scale.tolist(),
         PREVIOUS_ACTION: 1.0,
     }
     return {

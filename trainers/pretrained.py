@@ -214,7 +214,9 @@ def _unit(factory: EnvironmentFactory) -> Tensor:
     env = factory.make(1)
     half_range = limits_of(env.base_env.full_action_spec[ACTION]).half_range
     env.close()
-    return half_range.reshape(-1, half_range.shape[-1])[0] * torch.as_tensor(factory.residual_scale)
+    return half_range.reshape(-1, half_range.shape[-1])[0].cpu() * torch.as_tensor(
+        factory.residual_scale
+    )
 
 
 def _score(run: Run) -> tuple[float, float] | None:

@@ -7,6 +7,7 @@ import torch
 from torchrl.data import Bounded, Categorical, OneHot, Unbounded
 from torchrl.envs import RenameTransform, TransformedEnv
 
+from rrl.controllers import ZeroController
 from situation_envs import Machine, Simulator
 
 TRAINED = {
@@ -37,6 +38,26 @@ def test_an_action_is_trained(check_run, factory, name):
     _, _, stored = check_run(factory(partial(Simulator, action=TRAINED[name])), True)
     assert stored["action"].shape[1:] == TRAINED[name].shape
     assert (stored["action"].abs() <= 1).all()
+
+
+class AtTheBounds(ZeroController):
+    """It commands more than there is."""
+
+    def act(self, tensordict):
+        return super().act(tensordict) + 1.0
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.float16])
+def test_a_command_at_the_bounds_is_within_them(check_run, factory, dtype):
+    machine = partial(Simulator, action=Bounded(-0.1, 0.1, (2,), dtype=dtype))  # it checks
+    check_run(factory(machine, controller=AtTheBounds), True)
+
+
+def test_a_policy_may_read_the_base_action_of_a_dimension_without_range(check_run, factory):
+    action = TRAINED["a dimension without range"]
+    inputs = ["position", "base_action"]
+    _, _, stored = check_run(factory(partial(Simulator, action=action), inputs), True)
+    assert stored["base_action"].isfinite().all()
 
 
 @pytest.mark.parametrize("name", REFUSED)

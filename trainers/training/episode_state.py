@@ -98,6 +98,7 @@ def goes_on_from_its_state(env: EnvBase, root: TensorDictBase) -> tuple[bool, bo
         return False, False
     spec = env.full_action_spec[ACTION]
     action = spec.project(spec.zero())  # zero may be out of bounds
+    root = root if env.device is None else root.to(env.device)
 
     def step() -> TensorDictBase:
         return env.step(root.clone().set(ACTION, action))["next"].clone()

@@ -1,0 +1,44 @@
+"""From an environment's device and precision to the chain's, and back to them for its actions."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.data import Composite
+from torchrl.envs import TransformedEnv
+from torchrl.envs.transforms import DeviceCastTransform, DoubleToFloat, DTypeCastTransform
+
+from rrl.keys import ACTION, DIVERGED, SUCCESS
+
+__all__ = ["convert"]
+
+CPU = torch.device("cpu")
+
+
+def convert(env: TransformedEnv) -> None:
+    """Append transforms after which entries lie on the CPU, in float32, and flags are bool.
+
+    The environment gets its actions on its own device and in its own precision, within its bounds.
+    """
+    if env.device not in (None, CPU):
+        env.append_transform(DeviceCastTransform(CPU))
+    if any(spec.dtype == torch.float64 for spec in env.specs.values(True, True)):
+        env.append_transform(_DoubleToFloat())
+    for key in (SUCCESS, DIVERGED):  # some environments write 0.0 and 1.0
+        if (dtype := _dtype(env.observation_spec, key)) not in (None, torch.bool):
+            env.append_transform(DTypeCastTransform(dtype, torch.bool, in_keys=[key]))
+
+
+class _DoubleToFloat(DoubleToFloat):
+    """One that leaves an action within double bounds: in float32, 0.1 is more than 0.1."""
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        out = super()._inv_call(tensordict)
+        action = out.get(ACTION, None)
+        if action is not None and self.parent is not None:
+            out.set(ACTION, self.parent.full_action_spec[ACTION].project(action))
+        return out
+
+
+def _dtype(spec: Composite, key: str) -> torch.dtype | None:
+    return spec[key].dtype if key in spec.keys() else None  # noqa: SIM118 - a spec is no dict
