@@ -16,7 +16,7 @@ from rrl.checks import check_length, per_dimension, require
 from rrl.controllers.base import Controller
 from rrl.keys import ACTION, INTERVENTION, OPERATOR_ACTION, TAKEN_OVER
 from rrl.slot_masks import merge, step_mask
-from rrl.transforms.base import ActionLimits, ActionTransform, Mask, Memory, sibling
+from rrl.transforms.base import ActionLimits, ActionTransform, Mask, Memory, share_within, sibling
 from rrl.transforms.residual_action import ResidualAction
 
 __all__ = ["Intervention"]
@@ -137,8 +137,7 @@ class Intervention(ActionTransform):
         check_length("step_limit", self.step_limit, limits.shape[-1], "the action")
         last, limit = self.recall("command"), self.step_limit.to(wanted) * limits.half_range
         change = wanted - last
-        tiny = torch.finfo(wanted.dtype).tiny
-        share = (limit / change.abs().clamp_min(tiny)).amin(-1, keepdim=True)
+        share = share_within(change, limit)
         handed_over = self.recall("engaged") != self.recall("was_engaged")
         blending = (self.recall("blending") | handed_over) & (share < 1.0)
         return torch.where(blending, last + share * change, wanted), blending

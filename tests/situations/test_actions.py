@@ -4,10 +4,12 @@ from functools import partial
 
 import pytest
 import torch
+from tensordict.nn import TensorDictModule
 from torchrl.data import Bounded, Categorical, OneHot, Unbounded
 from torchrl.envs import RenameTransform, TransformedEnv
 
 from rrl.controllers import ZeroController
+from rrl.transforms import Intervention, StepLimit
 from situation_envs import Machine, Simulator
 
 TRAINED = {
@@ -58,6 +60,36 @@ def test_a_policy_may_read_the_base_action_of_a_dimension_without_range(check_ru
     inputs = ["position", "base_action"]
     _, _, stored = check_run(factory(partial(Simulator, action=action), inputs), True)
     assert stored["base_action"].isfinite().all()
+
+
+def takes_over_in_the_third_step():
+    steps = iter(range(100))
+
+    def device(position):
+        return torch.tensor([0.8, 0.5]), torch.tensor([next(steps) >= 2])
+
+    return TensorDictModule(device, ["position"], ["operator_action", "taken_over"])
+
+
+LIMITED = {
+    "operator": (0.3, {"intervention": partial(Intervention, takes_over_in_the_third_step, 0.3)}),
+    "limit": (0.1, {"safety": [partial(StepLimit, change=0.1)], "controller": AtTheBounds}),
+}
+
+
+@pytest.mark.parametrize("kind", LIMITED)
+def test_a_dimension_without_range_holds_up_no_other(factory, kind):
+    step, changes = LIMITED[kind]
+    action = TRAINED["a dimension without range"]
+    env = factory(partial(Simulator, action=action), **changes).make(1, operated=True)
+    pushes, td = [], env.reset()
+    for _ in range(6):
+        td = env.step(td.set("action", torch.zeros(2)))["next"]
+        pushes.append(float(env.base_env._push) * 2 - 0.5)  # what the dimension with one was given
+    expected = (
+        [0.0, 0.0, 0.3, 0.6, 0.8, 0.8] if kind == "operator" else [k * step for k in range(1, 7)]
+    )
+    assert pushes == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize("name", REFUSED)

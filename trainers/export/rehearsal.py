@@ -63,7 +63,8 @@ class Rehearsal:
         self._env, self._policy, self._traced = chain_on(self._robot, environment), policy, traced
         self._keys, self._inputs = self._robot.entry_keys(), environment.read_inputs(self._env)
         self._generator = torch.Generator().manual_seed(seed)
-        self._half_range = limits_of(like.full_action_spec[ACTION]).half_range.flatten().numpy()
+        half_range = limits_of(like.full_action_spec[ACTION]).half_range.flatten().numpy()
+        self._half_range = np.where(half_range == 0, 1.0, half_range)
 
     def difference(self, graph: Graph) -> float:
         """Return the largest difference of two commands, in half ranges of the action."""

@@ -1,7 +1,7 @@
 """Bases of the transforms: memory and random numbers of each slot, access to the action."""
 
 from rrl.transforms.base.action import ActionTransform, sibling
-from rrl.transforms.base.action_bounds import ActionLimits, action_leaf, limits_of
+from rrl.transforms.base.action_bounds import ActionLimits, action_leaf, limits_of, share_within
 from rrl.transforms.base.slots import Mask, Memory, RandomTransform, SlotTransform, any_done
 
 __all__ = [
@@ -14,5 +14,6 @@ __all__ = [
     "action_leaf",
     "any_done",
     "limits_of",
+    "share_within",
     "sibling",
 ]

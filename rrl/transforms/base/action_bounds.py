@@ -9,7 +9,7 @@ from tensordict import NestedKey
 from torch import Tensor
 from torchrl.data import Bounded, Composite, TensorSpec
 
-__all__ = ["ActionLimits", "action_leaf", "limits_of"]
+__all__ = ["ActionLimits", "action_leaf", "limits_of", "share_within"]
 
 
 class ActionLimits(NamedTuple):
@@ -67,3 +67,15 @@ def limits_of(spec: TensorSpec) -> ActionLimits:
     half_range = (high - low) / 2
     half_range = torch.where(half_range.isfinite(), half_range, torch.ones_like(half_range))
     return ActionLimits(low, high, half_range, spec.shape, spec.dtype)
+
+
+def share_within(change: Tensor, limit: Tensor) -> Tensor:
+    """Return what part of a change ``[*batch, n]`` keeps to a limit in every dimension.
+
+    A dimension with a limit of 0 has no range: it goes nowhere, and holds up no other.
+
+    Returns:
+        ``[*batch, 1]``, at least 0; 1 and more: the whole change does.
+    """
+    parts = limit / change.abs().clamp_min(torch.finfo(change.dtype).tiny)
+    return torch.where(limit == 0, torch.inf, parts).amin(-1, keepdim=True)

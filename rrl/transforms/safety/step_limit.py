@@ -10,7 +10,7 @@ from torch import Tensor
 
 from rrl.checks import check_length, per_dimension
 from rrl.keys import ACTION
-from rrl.transforms.base import ActionLimits
+from rrl.transforms.base import ActionLimits, share_within
 from rrl.transforms.safety.base import SafetyLimit
 
 __all__ = ["StepLimit"]
@@ -71,7 +71,7 @@ class StepLimit(SafetyLimit):
             return action
         change = self.change.to(measured) * limits.half_range
         wanted = action - measured
-        share = (change / wanted.abs().clamp_min(torch.finfo(wanted.dtype).tiny)).amin(-1, True)
+        share = share_within(wanted, change)
         return torch.where(share < 1.0, measured + share * wanted, action)
 
     def hold(self, tensordict: TensorDictBase, measured: Tensor) -> Tensor:
