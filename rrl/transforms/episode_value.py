@@ -11,7 +11,8 @@ from torchrl.data import Composite, Unbounded
 
 from rrl.checks import check, require
 from rrl.keys import SO_FAR
-from rrl.transforms.base import Mask, Memory, SlotTransform
+from rrl.slot_masks import merge
+from rrl.transforms.base import Mask, Memory, SlotTransform, any_done
 
 __all__ = ["REDUCTIONS", "EpisodeValue"]
 
@@ -32,7 +33,9 @@ class EpisodeValue(SlotTransform):
     constraint on an episode's value charges a step for.
 
     env -> policy: reads the keys of ``reductions``, writes ("so_far", name) for each, float32
-    ``[*batch, 1]``; 0 before an episode's first step. The name is the last part of the key.
+    ``[*batch, 1]``; 0 before an episode's first step. The name is the last part of the key. Of an
+    environment that resets itself within a step, ``step_and_maybe_reset`` gives in ``next`` what
+    the ended episode has come to.
 
     Args:
         reductions: ``max``, ``min``, ``sum`` or ``last`` for each observation, of one number a
@@ -51,6 +54,7 @@ class EpisodeValue(SlotTransform):
         self.reductions = dict(zip(names, reductions.values(), strict=True))
         for name, reduction in self.reductions.items():
             check(name, reduction, f"one of {', '.join(REDUCTIONS)}", reduction in REDUCTIONS)
+        self._stepped: Memory = {}
 
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
         nothing = torch.zeros(*td.batch_size, 1, device=td.device)
@@ -64,6 +68,22 @@ class EpisodeValue(SlotTransform):
             so_far = REDUCTIONS[reduction](self.memory[name], now)
             memory[name] = torch.where(begun, so_far, now)
         return memory | {"begun": torch.ones_like(begun)}
+
+    def _advance_or_start(
+        self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask, started: Tensor
+    ) -> Memory:
+        self._stepped = self._advance(td, next_td, mask)
+        return merge(started, self._first(next_td, started), self._stepped)
+
+    def _post_step_mdp_hooks(
+        self, tensordict: TensorDictBase, tensordict_: TensorDictBase
+    ) -> tuple[TensorDictBase, TensorDictBase]:
+        if self.resets_itself():  # TorchRL has put NaN there by now
+            following = tensordict.get("next")
+            ended = any_done(following)
+            for name, key in zip(self.reductions, self.out_keys, strict=True):
+                following.set(key, merge(ended, self._stepped[name], following.get(key)))
+        return tensordict, tensordict_
 
     def _outputs(self) -> Iterable[Tensor]:
         return [self.memory[name] for name in self.reductions]

@@ -153,7 +153,8 @@ class InTurn(Collection):
             data = self.rollout(env_steps)
             kept = self.interface.kept
             if self.env.__dict__.get("_torchrl_native_autoreset", False):
-                _fill_in_last_observations(data, kept)
+                hidden = [key for key in kept if key not in self.interface.costs]
+                _fill_in_last_observations(data, hidden)
             stored = as_stored(data, kept)
             values = collection_metrics(data, Authority.of(self.env)) | self._returns.metrics(data)
         return stored, values | measured(self.stopwatch) | metrics.clock(self.env.lap())

@@ -157,6 +157,42 @@ def test_the_shares_of_the_steps_sum_up_to_what_the_episode_is_reported_with(
             start = end
 
 
+class Clocked:
+    """What it reports grows to the end of an episode."""
+
+    def _step(self, tensordict):
+        steps = self._steps + 1.0
+        return super()._step(tensordict).set("metrics", {"effort": steps, "drift": -steps})
+
+
+class DrivenByTheClock(Clocked, Driven):
+    """Is reset from outside."""
+
+
+class DrivenByTheClockAndResetsItself(Clocked, DrivenAndResetsItself):
+    """Hides an episode's last observation, not what it has cost."""
+
+
+@pytest.mark.parametrize("kind", [DrivenByTheClock, DrivenByTheClockAndResetsItself])
+@pytest.mark.parametrize("length", [1, 5])
+@pytest.mark.parametrize(
+    ("reduce", "each"), [("max", max), ("sum", sum), ("last", lambda x: x[-1])]
+)
+def test_an_episodes_last_step_is_charged(make_trainer, factory, kind, length, reduce, each):
+    declared = environment(factory, effort={"reduce": reduce, "budget": 1.0})
+    base = lambda num_envs: kind([num_envs], episode_steps=length)  # noqa: E731
+    trainer = make_trainer(environment=replace(declared, base=base), num_envs=2, n_step=1)
+    with trainer:
+        stored, _ = trainer.collection.collect(0)
+    ends = stored["next", "done"]
+    assert ends.sum() == ends.numel() // length
+    expected = float(each([float(step) for step in range(1, length + 1)]))
+    assert (stored["next", SO_FAR, "effort"][ends] == expected).all()
+    change = stored["next", SO_FAR, "effort"] - stored[SO_FAR, "effort"]
+    assert change.sum() == expected * ends.sum()
+    assert (stored[SO_FAR, "effort"][:, ::length] == 0).all()
+
+
 @pytest.mark.parametrize("collection", ["turn", pytest.param("overlap", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("n_step", [1, 3])
 def test_a_run_that_died_goes_on_at_the_same_price(make_trainer, factory, n_step, collection):
