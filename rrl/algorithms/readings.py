@@ -53,11 +53,18 @@ class Reading:
         """What the encoder learns; one that learns nothing is run once a batch."""
         return [p for p in self.encoder.parameters() if p.requires_grad]
 
+    @property
+    def calibrated_by(self) -> list[NestedKey]:
+        """The entries that the encoder derives something from."""
+        if not hasattr(self.encoder, "calibrate"):
+            return []
+        return list(getattr(self.encoder, "calibrated_by", self.keys))
+
     def calibrate(self, entries: TensorDictBase) -> dict[NestedKey, Any]:
         """Let the encoder derive what it derives from the first entries ``[n]``."""
-        if not hasattr(self.encoder, "calibrate"):
+        if not self.calibrated_by:
             return {}
-        return dict(self.encoder.calibrate(*(entries[key] for key in self.keys)))
+        return dict(self.encoder.calibrate(*(entries[key] for key in self.calibrated_by)))
 
     def prepare(self, entries: TensorDictBase, out: TensorDictBase) -> None:
         """Set what an update needs: the features, or the entries that they are learned from."""
@@ -126,6 +133,11 @@ class Readings:
 
     def __iter__(self) -> Iterator[Reading]:
         return iter(self._all)
+
+    @property
+    def calibrated_by(self) -> set[NestedKey]:
+        """The entries that encoders derive something from: numbers, and seldom an image."""
+        return {key for reading in self._all for key in reading.calibrated_by}
 
     def prepare(self, batches: TensorDictBase) -> TensorDict:
         """Return transitions with the features of fixed encoders in the place of entries."""

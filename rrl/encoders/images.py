@@ -60,9 +60,14 @@ class ImagesBesideNumbers(nn.Module):
         beside = 0 if self.numbers is None else self.numbers.out_features
         return len(self.images) * self.features + beside
 
-    def calibrate(self, *values: Tensor) -> dict[NestedKey, Any]:
-        """Standardize the numbers; see :meth:`Concatenate.calibrate`."""
-        return {} if self.numbers is None else self.numbers.calibrate(*self._beside(values))
+    @property
+    def calibrated_by(self) -> list[NestedKey]:
+        """The entries that :meth:`calibrate` takes: the numbers."""
+        return [key for key, entry in self._inputs.items() if not entry.is_image]
+
+    def calibrate(self, *numbers: Tensor) -> dict[NestedKey, Any]:
+        """Standardize the numbers ``[n, *shape]``; see :meth:`Concatenate.calibrate`."""
+        return {} if self.numbers is None else self.numbers.calibrate(*numbers)
 
     def forward(self, *values: Tensor) -> Tensor:
         """Return features ``[*batch, n]`` of entries ``[*batch, *shape]``."""

@@ -18,5 +18,6 @@ EncoderFactory = Callable[[Inputs], nn.Module]
 to features ``[*batch, out_features]``; the module has the attribute ``out_features``.
 
 Two methods are optional. ``calibrate``, called once with the first values of every entry
-``[n, *shape]``, returns what it derived for each. ``augment``, called with the values of a training
-batch ``[B, *shape]``, returns what is learned from in their place."""
+``[n, *shape]``, or of those in the attribute ``calibrated_by``, returns what it derived for each;
+images of all transitions take much memory. ``augment``, called with the values of a training batch
+``[B, *shape]``, returns what is learned from in their place."""

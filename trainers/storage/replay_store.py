@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -143,9 +143,9 @@ class ReplayStore:
         data = self.replay.sample(k * self.batch_size).select(*self.keys)
         return self.images.get(data).reshape(k, self.batch_size)
 
-    def newest(self) -> TensorDictBase:
-        """Return all transitions in the buffer, ``[n]``."""
-        return self.images.get(self.replay[:].select(*self.keys))
+    def newest(self, images: Container[NestedKey] | None = None) -> TensorDictBase:
+        """Return all transitions in the buffer, ``[n]``, with images of some entries; None: all."""
+        return self.images.get(self.replay[:].select(*self.keys), images)
 
     def rewards(self) -> TensorDictBase:
         """Return rewards from all over the buffer, ``[n]``, and of how many steps they are."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -73,14 +73,24 @@ class StoredImages:
             out[key], out[_next(key)] = numbers
         return out
 
-    def get(self, transitions: TensorDictBase) -> TensorDictBase:
-        """Return transitions ``[n]`` with images in the place of numbers."""
+    def get(
+        self, transitions: TensorDictBase, keys: Container[NestedKey] | None = None
+    ) -> TensorDictBase:
+        """Return transitions ``[n]`` with images in the place of numbers.
+
+        Args:
+            transitions: With numbers.
+            keys: The entries that are wanted, which take memory; others are left out. None: all.
+        """
         if not self._entries:
             return transitions
         out = transitions.copy()
         for key, entry in self._entries.items():
             for place in (key, _next(key)):
-                out[place] = entry.get(transitions[place])
+                if keys is None or key in keys:
+                    out[place] = entry.get(transitions[place])
+                else:
+                    del out[place]
         return out
 
     def load(self, transitions: TensorDictBase, anew: bool) -> dict[NestedKey, list[int]]:

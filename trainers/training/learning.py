@@ -78,7 +78,7 @@ class Learning:
         return {metrics.name(metrics.LOSS, key): float(value) for key, value in losses.items()}
 
     def _derive(self) -> None:
-        derived = self.agent.calibrate(self.store.newest())
+        derived = self.agent.calibrate(self.store.newest(self.agent.readings.calibrated_by))
         lengths = ("warmup_steps", "controller_steps")
         derived |= {name: getattr(self.settings, name) for name in lengths}
         derived["inputs"] = {str(key): entry for key, entry in derived["inputs"].items()}

@@ -60,7 +60,7 @@ def test_center_and_scale_may_be_numbers_and_arrays_of_numpy():
 def test_numbers_beside_images_are_standardized():
     encoder = PixelEncoder({"vector": Input(shape=(2,)), "camera": LAST})
     vectors = torch.randn(100, 2) * 5 + 3
-    found = encoder.calibrate(vectors, pictures(100))
+    found = encoder.calibrate(vectors)
     assert found.keys() == {"vector"}
     features = encoder(vectors, pictures(100))[:, 50:].detach()
     assert features.mean() == pytest.approx(0, abs=0.01)

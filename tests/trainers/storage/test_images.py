@@ -275,6 +275,17 @@ def test_a_kill_before_the_first_frame_leaves_a_run_that_goes_on(tmp_path, entry
     assert len(list(store.log.folder.glob("images_*"))) == 2
 
 
+def test_only_the_images_that_are_wanted_are_given(tmp_path):
+    store = ReplayStore(tmp_path, 100, 4)
+    store.extend(two_cameras())
+    every = store.newest()
+    for wanted in ([], ["wrist"]):
+        left_out = [key for key in ("pixels", "wrist") if key not in wanted]
+        expected = every.exclude(*left_out, *(("next", key) for key in left_out))
+        assert set(store.newest(wanted).keys(True, True)) == set(expected.keys(True, True))
+        assert (store.newest(wanted) == expected).all()
+
+
 def test_transitions_without_images_are_stored_as_ever(tmp_path):
     store = ReplayStore(tmp_path, 100, 4)
     data = collected((8, 8, 3))[0].exclude("pixels", ("next", "pixels"))

@@ -13,6 +13,7 @@ from rrl.algorithms import SAC, TD3, mlp, no_exploration
 from rrl.controllers import ProportionalController, ZeroController
 from rrl.encoders import FrozenEncoder, automatic
 from rrl.trainers import EnvironmentFactory, Trainer, TrainerSettings
+from rrl.trainers.storage.frame_memory import FrameMemory
 from rrl.transforms import ObservationDropout, ObservationLatency
 from runs import assert_same_run, run, run_until
 from toy_envs import EPISODE_STEPS
@@ -213,3 +214,33 @@ def test_so_it_is_on_a_gpu(make, seeing, learner):
     trainer = run(make(seeing(), learner=learner, device="cuda"))
     assert trainer.store.sample(1)["pixels"].device.type == "cuda"
     assert next(trainer.agent.encoder.parameters()).device.type == "cuda"
+
+
+class LooksAtFirst(nn.Module):
+    """Derives something from the images of all transitions, in the order of its inputs."""
+
+    def __init__(self, inputs):
+        super().__init__()
+        self.scale, self.out_features = nn.Parameter(torch.ones(2)), 2
+
+    def calibrate(self, pixels, position):
+        return {"pixels": {"mean": float(pixels.float().mean())}}
+
+    def forward(self, pixels, position):
+        return position * self.scale
+
+
+@pytest.mark.parametrize("encoder", [SMALL["encoder"], LooksAtFirst], ids=["numbers", "images"])
+def test_only_images_that_something_is_derived_from_are_unpacked(
+    make, seeing, monkeypatch, encoder
+):
+    unpacked, get = [], FrameMemory.get
+
+    def watched(memory, numbers):
+        unpacked.append(len(numbers))
+        return get(memory, numbers)
+
+    monkeypatch.setattr(FrameMemory, "get", watched)
+    trainer = run(make(seeing(), total_steps=100, warmup_steps=80, arguments={"encoder": encoder}))
+    assert trainer.agent.is_calibrated
+    assert (max(unpacked) >= 80) is (encoder is LooksAtFirst)  # else four batches of 16 at most
