@@ -6,6 +6,7 @@ import contextlib
 import importlib
 import logging
 import os
+import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -232,6 +233,8 @@ def _torn_entries() -> Iterator[list[logging.LogRecord]]:
 
 
 def _choose_cache() -> str:
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rrl"
-    # PyTorch's own is in /tmp
-    return os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(cache / "inductor"))
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))  # noqa: PTH111
+    if not cache.is_absolute():  # a user without a home, as in a container; Path's would raise
+        cache = Path(tempfile.gettempdir()) / f"cache-{os.getuid()}"
+    # PyTorch's own is in /tmp, by the user's name
+    return os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(cache / "rrl" / "inductor"))

@@ -1,8 +1,10 @@
 """Compiled updates; where nothing can be compiled a learner says so once and learns all the same."""
 
 import os
+import pwd
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -49,6 +51,22 @@ def test_without_a_compiler_the_update_runs_as_it_is():
         learn(agent, 4)
     for name, value in parameters(eager).items():
         assert torch.equal(parameters(compiled)[name], value)
+
+
+def test_a_user_without_a_home_has_a_cache(monkeypatch, tmp_path):
+    """As in a container whose user number has no entry in /etc/passwd."""
+
+    def nobody(number):
+        raise KeyError(f"getpwuid(): uid not found: {number}")
+
+    for name in ("HOME", "XDG_CACHE_HOME", "TORCHINDUCTOR_CACHE_DIR"):
+        monkeypatch.setenv(name, "")  # so that it is put back as it was
+        monkeypatch.delenv(name)
+    monkeypatch.setattr(pwd, "getpwuid", nobody)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    make_agent(compiled=True)
+    assert compiler_problem() is None
+    assert Path(os.environ["TORCHINDUCTOR_CACHE_DIR"]).is_relative_to(tmp_path)
 
 
 def test_with_a_broken_compiler_the_update_runs_as_it_is_and_the_cache_is_named_once(tmp_path):
