@@ -19,7 +19,7 @@ from rrl.robot import RobotFault
 from rrl.slot_random import seed_env
 
 from ...environment import ResumableEnv
-from ...requests import Requests
+from ...requests import Requests, stop_of
 from ...settings import TrainerSettings
 from ...storage.transition_log import FOLDER, TransitionLog
 from ..collection_metrics import Authority
@@ -116,7 +116,7 @@ class Acting:
 
     def stop(self) -> None:
         """Have the robot stand still, if the environment is one that can."""
-        stop = getattr(self.env.base_env, "stop", None)
+        stop = stop_of(self.env.base_env)
         if stop is not None:
             try:
                 stop()
