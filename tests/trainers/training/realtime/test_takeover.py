@@ -145,6 +145,7 @@ def test_what_is_not_finite_costs_a_step_not_the_run(make, caplog):
     assert caplog.text.count("1 of the acting process's records (40)") == 1
 
 
+@pytest.mark.slow
 def test_a_damaged_record_is_replaced_by_its_neighbor(make, tmp_path):
     run_dir = tmp_path / "run"
     learn_and_be_killed(make, 40, **SLOW)
@@ -164,6 +165,7 @@ def test_a_damaged_record_is_replaced_by_its_neighbor(make, tmp_path):
     assert stored["next", "done"].flatten()[74:77].tolist() == [True, True, False]
 
 
+@pytest.mark.slow
 def test_a_longer_run_goes_on_and_no_episode_comes_again(make, tmp_path):
     learn_and_be_killed(make, 40, kill_the_process, total_steps=160, **SLOW)
     learn_and_be_killed(make, 80, total_steps=160, **SLOW)
