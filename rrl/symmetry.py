@@ -71,7 +71,8 @@ class Symmetry:
 
     def reflect_transitions(self, batches: TensorDictBase) -> None:
         """Put a randomly drawn image in the place of each transition ``[*batch]``."""
-        which = torch.randint(self.num_images, batches.shape)
+        drawn = torch.randint(self.num_images, batches.shape)
+        which = drawn.to(batches[ACTION].device)  # drawn alike wherever transitions lie
         for key in (OBSERVATION, ("next", OBSERVATION)):
             batches[key] = self.reflect(batches[key], which)
         batches[ACTION] = self.reflect_action(batches[ACTION], which)
@@ -101,14 +102,22 @@ class _Maps:
         self.index, self.sign = table.abs() - 1, table.sign().float()
 
     def all(self, x: Tensor) -> Tensor:
-        return x[..., self.index] * self.sign
+        index, sign = self._beside(x)
+        return x[..., index] * sign
 
     def one(self, x: Tensor, which: Tensor) -> Tensor:
-        return x.gather(-1, self.index[which]) * self.sign[which]
+        index, sign = self._beside(x)
+        return x.gather(-1, index[which]) * sign[which]
 
     def each(self, x: Tensor, signed: bool) -> Tensor:
-        moved = x.gather(-1, self.index.expand_as(x))
-        return moved * self.sign if signed else moved
+        index, sign = self._beside(x)
+        moved = x.gather(-1, index.expand_as(x))
+        return moved * sign if signed else moved
+
+    def _beside(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        if self.index.device != x.device:
+            self.index, self.sign = self.index.to(x.device), self.sign.to(x.device)
+        return self.index, self.sign
 
 
 def as_map(name: str, given: Sequence[int]) -> Map:

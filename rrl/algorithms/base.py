@@ -14,17 +14,17 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import LossModule, SoftUpdate
 from torchrl.objectives.utils import ValueEstimators
 
-from rrl.algorithms.calibration import derived, follow_rewards, reward_factor
+from rrl.algorithms.calibration import derived
 from rrl.algorithms.networks import EncodedNetwork, FirstOnly, last_layer, last_layer_name
 from rrl.algorithms.precision import single_precision
 from rrl.algorithms.readings import Readings, with_shapes
+from rrl.algorithms.reward_scale import RewardScale
 from rrl.algorithms.settings import AgentSettings
 from rrl.algorithms.symmetric_actor import SymmetricActor
 from rrl.algorithms.transfer import take_over
 from rrl.algorithms.updates import Step, Updates
 from rrl.inputs import Input
 from rrl.keys import ACTION
-from rrl.n_step import STEPS
 from rrl.symmetry import Symmetry
 
 __all__ = ["Agent"]
@@ -58,8 +58,6 @@ class Agent(nn.Module, ABC):
     loss: LossModule
     critic_optimizer: Any
     actor_optimizer: Any
-    reward_scale: Tensor
-    """Factor on the stored reward, a scalar."""
     residual_weight: Tensor
     """Weight of the action's square, a scalar."""
     policy: TensorDictModuleBase
@@ -80,7 +78,7 @@ class Agent(nn.Module, ABC):
         self.gamma = derived(self.settings, "gamma", episode_steps)
         self.penalty_updates = derived(self.settings, "penalty_updates", episode_steps)
         self.is_calibrated = False
-        self.register_buffer("reward_scale", torch.tensor(self.settings.reward_scale or 1.0))
+        self.rewards = RewardScale(self.settings.reward_scale)
         self.register_buffer("residual_weight", torch.tensor(self.settings.residual_penalty))
         self.inputs, self.critic_inputs = with_shapes(inputs), with_shapes(critic_inputs)
         self.readings = Readings(self.inputs, self.critic_inputs, self.settings.encoder)
@@ -96,6 +94,11 @@ class Agent(nn.Module, ABC):
                     "critic_inputs"
                 )
             symmetry.check_sizes(self.encoder.out_features, action_size)
+
+    @property
+    def reward_scale(self) -> Tensor:
+        """Factor on the stored reward, a scalar."""
+        return self.rewards.value
 
     @property
     def encoder(self) -> Any:
@@ -174,19 +177,17 @@ class Agent(nn.Module, ABC):
             standardized, center and scale.
         """
         inputs = dict[NestedKey, Any]()
-        if self.settings.reward_scale is None:
-            self.reward_scale.fill_(self._reward_factor(transitions))
+        self.is_calibrated = True
+        self.follow(transitions)
         for reading in self.readings if self.symmetry is None else ():
             inputs |= reading.calibrate(transitions)
-        self.is_calibrated = True
         lengths = {"gamma": self.gamma, "penalty_updates": self.penalty_updates}
         return {**lengths, "reward_scale": float(self.reward_scale), "inputs": inputs}
 
-    def _reward_factor(self, transitions: TensorDictBase) -> float:
-        # Whether rewards are sums of several stands beside them: a successor is never told.
-        steps = transitions.get(STEPS, None)
-        n_step = 1 if steps is None else int(steps.max())
-        return reward_factor(transitions["next", "reward"].flatten(), self.gamma, n_step)
+    def follow(self, transitions: TensorDictBase) -> None:
+        """Let a derived reward scale follow the rewards ``[n]`` of all that is learned from."""
+        if self.is_calibrated:
+            self.rewards.follow(transitions, self.gamma, self.loss, self._value_layer)
 
     @property
     def compile_seconds(self) -> float:
@@ -207,10 +208,6 @@ class Agent(nn.Module, ABC):
         """
         fall = 1 + self.num_updates / self.penalty_updates
         self.residual_weight.fill_(self.settings.residual_penalty / fall)
-        derives = self.settings.reward_scale is None
-        if derives and self.is_calibrated:
-            factor = self._reward_factor(batches)
-            follow_rewards(self.reward_scale, factor, self.loss, self._value_layer)
         batches = self._encoded(batches)
         if self.symmetry is not None:
             self.symmetry.reflect_transitions(batches)
@@ -221,7 +218,7 @@ class Agent(nn.Module, ABC):
             part = [column[first : first + len(steps)] for column in columns]
             for name, values in self._updates(steps, keys, part).items():
                 history.setdefault(name, []).append(values)
-        if derives:
+        if self.rewards.derives:
             history["reward_scale"] = [self.reward_scale.reshape(1).clone()]
         return {name: torch.cat(values).mean() for name, values in history.items()}
 

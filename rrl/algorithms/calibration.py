@@ -6,13 +6,12 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 __all__ = [
     "VALUE_SPREAD",
     "derived",
     "discount",
-    "follow_rewards",
     "penalty_updates",
     "reward_factor",
     "warmup_length",
@@ -24,8 +23,6 @@ NORMAL = 1.2533
 """Standard deviation over mean absolute deviation of normally distributed numbers."""
 LEAST_SHARE = 0.1
 """Rewards that hardly differ count as if they differed by this share of their size."""
-GROWTH = 1.25
-"""Rewards that have grown by this factor are scaled anew."""
 WARMUP_EPISODES = 5
 WARMUP_STEPS = 300
 WARMUP_SHARE = 0.1
@@ -63,7 +60,7 @@ def penalty_updates(episode_steps: int) -> int:
     return 20 * episode_steps
 
 
-def reward_factor(rewards: Tensor, gamma: float, n_step: int = 1) -> float:
+def reward_factor(rewards: Tensor, gamma: float, n_step: int = 1) -> float | None:
     """Return the factor that gives values a spread of about :data:`VALUE_SPREAD`.
 
     Multiplying all rewards by a number divides the result by it, so that learning is the same.
@@ -74,7 +71,7 @@ def reward_factor(rewards: Tensor, gamma: float, n_step: int = 1) -> float:
         n_step: Of how many steps each is the sum.
 
     Returns:
-        The factor; 1 if all rewards are 0.
+        The factor; None if all rewards are 0, which says nothing of their size.
     """
     rewards = rewards.double() / sum(gamma**i for i in range(n_step))
     size = rewards.square().mean().sqrt()
@@ -82,30 +79,8 @@ def reward_factor(rewards: Tensor, gamma: float, n_step: int = 1) -> float:
     deviation = NORMAL * (rewards - rewards.median()).abs().mean()
     spread = torch.maximum(deviation, LEAST_SHARE * size)
     if not spread > 0:
-        return 1.0
+        return None
     return float(VALUE_SPREAD * (1 - gamma) / spread)
-
-
-@torch.no_grad()
-def follow_rewards(scale: Tensor, factor: float, loss: nn.Module, last_layer: str) -> None:
-    """Take a smaller factor where rewards have grown, and the critics' values with it.
-
-    A controller that always fails says nothing of what a success is worth. Values keep their
-    meaning as in Pop-Art (van Hasselt et al., 2016), by the last layer of every critic.
-
-    Args:
-        scale: What rewards are multiplied with, a scalar; changed in place.
-        factor: What :func:`reward_factor` says of rewards that were sampled now.
-        loss: Holds the critics, as TorchRL's losses do.
-        last_layer: Name of a critic's last layer.
-    """
-    before = float(scale)
-    if factor * GROWTH >= before:
-        return
-    scale.fill_(factor)
-    for name, values in loss.state_dict().items():
-        if "value_network_params" in name and name.rpartition(".")[0].endswith(f".{last_layer}"):
-            values.mul_(factor / before)
 
 
 DERIVATIONS: Mapping[str, Callable[[int], Any]] = {

@@ -33,8 +33,7 @@ def take_over(agent: Agent, other: Agent) -> None:
     if other.is_calibrated:  # a policy means what it learned only behind its own encoder
         for ours, theirs in zip(agent.encoders, other.encoders, strict=True):
             ours.load_state_dict(theirs.state_dict())
-        if agent.settings.reward_scale is None:
-            agent.reward_scale.copy_(other.reward_scale)
+        agent.rewards.copy(other.rewards)
         agent.is_calibrated = True
 
 

@@ -164,3 +164,16 @@ def test_images_of_images_cover_all_pairs():
         x = torch.randn(OBSERVATION)
         twice = MIRRORS.reflect(MIRRORS.reflect(x, torch.tensor(one)), torch.tensor(other))
         assert any(torch.equal(twice, image) for image in MIRRORS.images(x))
+
+
+def test_images_are_made_where_the_numbers_lie():
+    symmetry = Symmetry([([1, -2], [-1])])
+    numbers, which = torch.zeros(3, 2, device="meta"), torch.zeros(3, dtype=torch.long)
+    assert symmetry.images(numbers).device.type == "meta"
+    assert symmetry.reflect(numbers, which.to("meta")).device.type == "meta"
+    assert symmetry.return_actions(torch.zeros(3, 2, 1, device="meta")).device.type == "meta"
+    batches = TensorDict(
+        {"observation": numbers, "action": numbers[:, :1], "next": {"observation": numbers}}, [3]
+    )
+    symmetry.reflect_transitions(batches)
+    assert batches["action"].device.type == "meta"

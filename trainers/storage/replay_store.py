@@ -13,7 +13,7 @@ from torchrl.data import LazyTensorStorage, RandomSampler, TensorDictReplayBuffe
 
 from rrl.interventions import InterventionSampler, relabel_interventions
 from rrl.keys import ACTION, EXCEEDS_AUTHORITY, INTERVENED, INTERVENTION
-from rrl.n_step import n_step_transitions
+from rrl.n_step import STEPS, n_step_transitions
 
 from .finite import require_finite
 from .neighbors import named, put_neighbors
@@ -27,14 +27,12 @@ log = logging.getLogger(__name__)
 
 CHUNK = 2**16
 """Records read at once when a buffer is filled from the log."""
-
 OLDEST = 4096
 """So many of the oldest transitions name the oldest frame: more than there are environments."""
-
 IMAGE_BATCHES = 4
 """Batches with images that are sampled at once: their images take more memory than all else."""
-
-
+REWARDS = 100_000
+"""As many say how large rewards are."""
 FLAGS = (INTERVENED, EXCEEDS_AUTHORITY)
 """Of a transition, where an operator may take over; nothing that is learned from."""
 
@@ -149,6 +147,11 @@ class ReplayStore:
     def newest(self) -> TensorDictBase:
         """Return all transitions in the buffer, ``[n]``."""
         return self.images.get(self.replay[:].select(*self.keys))
+
+    def rewards(self) -> TensorDictBase:
+        """Return rewards from all over the buffer, ``[n]``, and of how many steps they are."""
+        step = len(self.replay) // REWARDS + 1
+        return self.replay[::step].select(("next", "reward"), STEPS, strict=False)
 
     def extend(self, data: TensorDictBase) -> TensorDictBase:
         """Store collected ``data`` [E, T]; when this returns it survives the process.

@@ -61,6 +61,7 @@ class Learning:
         if not self.agent.is_calibrated:
             self._derive()
             updates += self.agent.settings.critic_burn_in
+        self.agent.follow(self.store.rewards())
         compiled = self.agent.compile_seconds
         sums: dict[str, tuple[float, int]] = {}
         with self.generator.drawing():

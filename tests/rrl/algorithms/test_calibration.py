@@ -41,13 +41,14 @@ def test_rewards_that_grow_are_scaled_anew_and_values_keep_their_meaning(algorit
     data = batches(64)
     agent.calibrate(data.reshape(-1))
     scale, values = float(agent.reward_scale), _values(agent, data)
-    agent.update(data)
+    agent.follow(data.reshape(-1))
     assert float(agent.reward_scale) == scale  # nothing has grown
     data["next", "reward"] *= 20
+    agent.follow(data.reshape(-1))
     agent.update(data)
     assert float(agent.reward_scale) == pytest.approx(scale / 20)
     torch.testing.assert_close(_values(agent, data) * 20, values)
-    agent.update(batches(64))  # the largest rewards count
+    agent.follow(batches(64).reshape(-1))  # the largest rewards count
     assert float(agent.reward_scale) == pytest.approx(scale / 20)
 
 
@@ -61,8 +62,8 @@ def test_a_successor_of_a_run_with_sums_of_rewards_keeps_the_scale(make):
     agent.calibrate(data.reshape(-1))
     heir.start_from(agent)
     scale = float(agent.reward_scale)
-    agent.update(data)
-    heir.update(data)
+    agent.follow(data.reshape(-1))
+    heir.follow(data.reshape(-1))
     assert float(agent.reward_scale) == float(heir.reward_scale) == scale
 
 
@@ -82,7 +83,7 @@ def test_a_scale_that_was_given_stays():
     data = batches(4)
     agent.calibrate(data.reshape(-1))
     data["next", "reward"] *= 1000
-    agent.update(data)
+    agent.follow(data.reshape(-1))
     assert float(agent.reward_scale) == 2.0
 
 
@@ -94,8 +95,46 @@ def test_values_get_their_spread(offset):
     assert factor * rewards.std() / (1 - gamma) == pytest.approx(VALUE_SPREAD, rel=0.01)
 
 
-def test_rewards_that_say_nothing_stay_as_they_are():
-    assert reward_factor(torch.zeros(100), 0.9) == 1.0
+def without_rewards():
+    data = batches(64).reshape(-1)
+    data["next", "reward"] *= 0
+    return data
+
+
+def test_rewards_of_zero_say_nothing():
+    assert reward_factor(torch.zeros(100), 0.9) is None
+    agent, data = make_agent(reward_scale=None), batches(64).reshape(-1)
+    data["next", "reward"] *= 0.01
+    agent.calibrate(data)
+    scale = float(agent.reward_scale)
+    assert scale > 1
+    agent.follow(without_rewards())
+    assert float(agent.reward_scale) == scale
+
+
+@pytest.mark.parametrize("size", [1e-3, 1e3])
+def test_the_first_reward_decides_however_late_it_comes(size):
+    agent = make_agent(reward_scale=None)
+    agent.calibrate(without_rewards())
+    assert float(agent.reward_scale) == 1.0
+    again = make_agent(reward_scale=None)
+    again.load_state_dict(agent.state_dict())
+    for learner in (agent, again):  # after a resumption too
+        data = batches(64).reshape(-1)
+        data["next", "reward"] *= size
+        learner.follow(data)
+        expected = reward_factor(data["next", "reward"].flatten(), learner.gamma)
+        assert float(learner.reward_scale) == pytest.approx(expected)
+
+
+def test_a_critic_of_one_layer_is_scaled_too():
+    agent = make_agent(reward_scale=None, last_layer_bound=0.1, hidden=[])
+    data = batches(64)
+    agent.calibrate(data.reshape(-1))
+    values = _values(agent, data)
+    data["next", "reward"] *= 20
+    agent.follow(data.reshape(-1))
+    torch.testing.assert_close(_values(agent, data) * 20, values)
 
 
 def test_a_constant_reward_does_not_explode():

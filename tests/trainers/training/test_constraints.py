@@ -59,6 +59,18 @@ def environment(factory, kind=Driven, **metrics) -> EnvironmentFactory:
     return replace(factory, base=partial(point, kind=kind), disturbances=[], metrics=declared)
 
 
+def test_a_price_says_nothing_of_how_large_rewards_are(make_trainer, factory):
+    """A budget that cannot be kept: what is charged grows, the scale of the rewards does not shrink."""
+    metrics = {"effort": {"reduce": "sum", "budget": 0.01}}
+    agent = partial(TD3, **SMALL, reward_scale=None)
+    trainer = make_trainer("charged", environment=environment(factory, **metrics), agent=agent)
+    run(trainer)
+    free = make_trainer("free", environment=environment(factory), agent=agent)
+    run(free)
+    assert trainer.constraints.multipliers["effort"].value > 1.0
+    assert float(trainer.agent.reward_scale) > 0.5 * float(free.agent.reward_scale)
+
+
 def last_drift(results) -> float:
     """How hard the point is driven against the drift at the end of an episode."""
     return float(results["drift"].residual.metrics["drift"].mean())
