@@ -26,7 +26,8 @@ FLAGS = ("terminated", "truncated")
 class RobotEnv(EnvBase):
     """A :class:`~rrl.robot.Robot` with ``batch_size []``, driven at its own control period.
 
-    A step commands, waits for the end of the period (:class:`~rrl.pace.Pace`) and observes.
+    A step commands, waits for the end of the period (:class:`~rrl.pace.Pace`) and observes. Once
+    told to stop, the robot gets no command before its next reset: a step then ends the episode.
     Entries, bounds and period are those of the robot's description.
 
     Reads ``action``; writes the description's entries under their names (those with a slash
@@ -57,7 +58,7 @@ class RobotEnv(EnvBase):
         self.description, self.episode_steps = self.robot.description, episode_steps
         self.pace = Pace(self.description.period)
         self._steps, self._measured_at = 0, float("-inf")
-        self._connected = True
+        self._connected, self._stopped = True, False
         self._make_specs()
         self._set_seed(seed)
 
@@ -67,7 +68,8 @@ class RobotEnv(EnvBase):
         return self.description.period
 
     def stop(self) -> None:
-        """Have the robot stand still."""
+        """Have the robot stand still until the next reset."""
+        self._stopped = True
         self.robot.stop()
 
     def close(self, **kwargs: Any) -> None:
@@ -109,12 +111,13 @@ class RobotEnv(EnvBase):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         self.robot.reset(int(self._seeds.integers(2**31)))
-        self._steps, self._measured_at = 0, float("-inf")
+        self._steps, self._measured_at, self._stopped = 0, float("-inf"), False
         self.pace.start()
         return self._read().exclude(REWARD)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        self.robot.command(tensordict[ACTION].detach().numpy())
+        if not self._stopped:
+            self.robot.command(tensordict[ACTION].detach().numpy())
         self.pace.wait()
         self._steps += 1
         return self._read()
@@ -123,7 +126,7 @@ class RobotEnv(EnvBase):
         observation = self.robot.observe()
         entries = self._checked(observation)
         terminated, truncated = (bool(entries.pop(name, [False])[0]) for name in FLAGS)
-        truncated |= self._steps >= self.episode_steps
+        truncated |= self._stopped or self._steps >= self.episode_steps
         td = TensorDict({}, [])
         for name, value in entries.items():
             td[tuple(name.split("/"))] = value

@@ -6,7 +6,7 @@ import logging
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 __all__ = ["Pace", "prioritize", "prioritized"]
@@ -110,4 +110,5 @@ def prioritized(priority: int) -> Iterator[None]:
 
 def _schedule(policy: int, priority: int) -> None:
     for thread in Path("/proc/self/task").iterdir():
-        os.sched_setscheduler(int(thread.name), policy, os.sched_param(priority))
+        with suppress(ProcessLookupError):  # it has ended since it was listed
+            os.sched_setscheduler(int(thread.name), policy, os.sched_param(priority))

@@ -48,6 +48,8 @@ class ResumableEnv(TransformedEnv):
     next_input: TensorDictBase
     worker_errors: WorkerErrors | None = None
     requests: Requests | None = None
+    is_cut_short: bool = False
+    """Whether a pause has stopped the robot in the middle of the last episode."""
 
     def listen_to(self, requests: Requests) -> None:
         """Do what a person asks for, from the next step on."""
@@ -75,6 +77,7 @@ class ResumableEnv(TransformedEnv):
         """Reset the environment, or return what :meth:`begin_with` was given."""
         if self.requests is not None:
             self.requests.before_reset(self.base_env)
+        self.__dict__["is_cut_short"] = False
         with self._timed("reset"), self._explaining():
             self.next_input = super().reset(tensordict, **arguments)
         begin: TensorDictBase | None = self.__dict__.pop("_begin", None)
@@ -91,13 +94,18 @@ class ResumableEnv(TransformedEnv):
         return out, self.next_input
 
     def step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Step, once a pause is over; a person's judgement may end the episode."""
+        """Step, once a pause is over; a person's judgement may end the episode.
+
+        A pause stops a robot, and the step ends its episode.
+        """
         if self.requests is not None:
-            self.requests.before_step()
+            self.__dict__["is_cut_short"] = self.requests.before_step(self.base_env)
         with self._timed("robot"), self._explaining():
             out = super().step(tensordict)
         if self.requests is not None:
             self.requests.judge(out["next"])
+            if self.is_cut_short:
+                self.requests.cut(out["next"])
         return out
 
     @contextmanager

@@ -5,17 +5,17 @@ from __future__ import annotations
 import copy
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import Enum
 from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from torchrl.envs import EnvBase
+from torchrl.envs import EnvBase, ParallelEnv
 
 from rrl.keys import SUCCESS
 
-__all__ = ["Request", "Requests"]
+__all__ = ["Request", "Requests", "stop_of"]
 
 POLL = 0.02
 """Seconds between two looks whether a pause is over."""
@@ -38,7 +38,8 @@ class Requests:
 
     An environment asks :meth:`before_step`, :meth:`judge` and :meth:`before_reset`. A judgement
     ends the episode; asked for in one episode, it does not reach the next. To repeat a start the
-    environment has to save its state, as :class:`torch.nn.Module` does.
+    environment has to save its state, as :class:`torch.nn.Module` does. A pause lets a simulation
+    wait; a robot, which cannot, is stopped, and its episode is cut short.
     """
 
     def __init__(self) -> None:
@@ -56,10 +57,20 @@ class Requests:
         else:
             self._judged = request is Request.SUCCEEDED
 
-    def before_step(self) -> None:
-        """Wait while there is a pause."""
-        while self.paused:
-            time.sleep(POLL)
+    def before_step(self, env: EnvBase) -> bool:
+        """Let a bare environment stand still if there is a pause.
+
+        Returns:
+            Whether it is a robot: it is stopped then, and waits before its next reset.
+        """
+        if not self.paused:
+            return False
+        stop = stop_of(env)
+        if stop is None:
+            self._wait()
+            return False
+        stop()
+        return True
 
     def judge(self, next_td: TensorDictBase) -> None:
         """End the episode as a person has judged it; leave ``next_td`` alone where nobody has.
@@ -77,12 +88,27 @@ class Requests:
                 next_td.batch_size.numel(),
             )
             return
-        for key, value in (("done", True), ("truncated", True), (SUCCESS, judged)):
+        self.cut(next_td)
+        if (entry := next_td.get(SUCCESS, None)) is not None:
+            next_td.set(SUCCESS, torch.full_like(entry, judged))
+
+    @staticmethod
+    def cut(next_td: TensorDictBase) -> None:
+        """End the episode of ``next_td``, which is truncated; its ``success`` stays."""
+        for key in ("done", "truncated"):
             if (entry := next_td.get(key, None)) is not None:
-                next_td.set(key, torch.full_like(entry, value))
+                next_td.set(key, torch.ones_like(entry))
 
     def before_reset(self, env: EnvBase) -> None:
-        """Put the bare environment back to where its last episode began, if that was asked for."""
+        """Wait while there is a pause, with a robot that stands still.
+
+        The bare environment is then put back to where its last episode began, if that was asked
+        for.
+        """
+        if self.paused:
+            if (stop := stop_of(env)) is not None:
+                stop()
+            self._wait()
         self._judged, repeats, self._repeats = None, self._repeats, False
         if env.batch_size.numel() > 1:
             return
@@ -92,6 +118,18 @@ class Requests:
             log.warning("this environment does not save its state: its next start is another one")
         else:
             env.load_state_dict(copy.deepcopy(self._start))
+
+    def _wait(self) -> None:
+        while self.paused:
+            time.sleep(POLL)
+
+
+def stop_of(env: EnvBase) -> Callable[[], object] | None:
+    """Return what has a bare environment's robot stand still; None for a simulation.
+
+    Copies in processes of their own are simulations: a robot is driven by one process.
+    """
+    return None if isinstance(env, ParallelEnv) else getattr(env, "stop", None)
 
 
 def _saved(env: EnvBase) -> dict[str, Any] | None:

@@ -230,12 +230,24 @@ class TrainerSettings(_Settings):
                 f"{self.intervention_share}; choose one, such as operator=press-and-drag"
             )
 
-    def derived(self, episode_steps: int) -> TrainerSettings:
+    @property
+    def lengths(self) -> dict[str, int | None]:
+        """What :meth:`derived` derives, by name."""
+        return {"warmup_steps": self.warmup_steps, "controller_steps": self.controller_steps}
+
+    def derived(
+        self, episode_steps: int, before: Mapping[str, int] | None = None
+    ) -> TrainerSettings:
         """Return the settings with the lengths that are to be derived.
 
         Args:
             episode_steps: Steps of an episode.
+            before: :attr:`lengths` as the run has derived them when it began; they stay, however
+                long it becomes.
         """
+        if before is not None:
+            given = {name: steps for name, steps in self.lengths.items() if steps is not None}
+            return self.model_copy(update={**before, **given})
         warmup, alone = self.warmup_steps, self.controller_steps
         if warmup is None:
             warmup = warmup_length(episode_steps, self.total_steps, self.steps_per_round)

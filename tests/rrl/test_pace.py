@@ -1,10 +1,11 @@
 """Periods begin on a grid that does not move, whatever happened before."""
 
+import threading
 import time
 
 import pytest
 
-from rrl.pace import Pace, prioritize
+from rrl.pace import Pace, prioritize, prioritized
 
 PERIOD = 0.02
 
@@ -54,3 +55,26 @@ def test_a_period_is_positive():
 
 def test_no_priority_changes_nothing():
     prioritize(0)
+
+
+def test_threads_that_end_meanwhile_do_not_matter():
+    """A thread may end after it was listed and before it gets its priority."""
+    over = threading.Event()
+
+    def churn():
+        while not over.is_set():
+            threads = [threading.Thread(target=time.sleep, args=(0.0005,)) for _ in range(50)]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join()
+
+    other = threading.Thread(target=churn)
+    other.start()
+    try:
+        for _ in range(100):
+            with prioritized(1):
+                pass
+    finally:
+        over.set()
+        other.join()

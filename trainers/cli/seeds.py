@@ -17,7 +17,7 @@ from ..report.learning_curve import learning_curve
 from ..report.report import write_report
 from ..report.runs import Group, Run, find_runs
 from ..report.tables import handed_over, markdown_tables, terminal_tables
-from ..storage.checkpoints import saved_config
+from ..storage.checkpoints import saved_note
 from ..storage.files import lock, write_atomically
 from ..storage.run_files import CHECKPOINTS, CONFIG_FILE, REPORT, seed_directories
 from ..storage.same_run import require_same_run
@@ -56,7 +56,7 @@ def train_seeds(config: assembly.Config, run_dir: Path, console: Output, *, resu
             raise FileExistsError(f"{run_dir} holds a run already: choose another directory")
         for job in jobs:
             if job.path in present:
-                require_same_run(saved_config(job.path) or job.config, job.config)
+                require_same_run(saved_note(job.path).get("config") or job.config, job.config)
         text = yaml.safe_dump(dict(config), sort_keys=False)
         write_atomically(run_dir / CONFIG_FILE, text)
         console.say(f"training {count} seeds in {run_dir}")

@@ -25,7 +25,7 @@ from ..report.tables import (
     success_rows,
     terminal_tables,
 )
-from ..storage.checkpoints import saved_config
+from ..storage.checkpoints import saved_note
 from ..storage.files import write_atomically
 from ..storage.run_files import CONFIG_FILE, METRICS, REPORT, RESULTS, seed_directories
 from ..storage.same_run import require_same_run
@@ -47,7 +47,7 @@ def train(config: assembly.Config, run_dir: Path, console: Output, *, resume: bo
         train_seeds(config, run_dir, console, resume=resume)
         return
     if resume:
-        require_same_run(saved_config(run_dir) or config, config)
+        require_same_run(saved_note(run_dir).get("config") or config, config)
     trainer = assembly.trainer(config, run_dir, Progress(console))
     try:
         if not (resume and _resume(trainer, console)):

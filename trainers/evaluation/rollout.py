@@ -22,6 +22,7 @@ from rrl.keys import ACTION, DIVERGED, METRICS, REWARD, SAFETY, SUCCESS
 from rrl.robot import RobotFault
 from rrl.slot_random import seed_env
 
+from ..environment import ResumableEnv
 from ..metric import Metric
 from .episodes import Episodes
 
@@ -32,6 +33,10 @@ log = logging.getLogger(__name__)
 T = TypeVar("T")
 RETRY = 1.0
 """Seconds between attempts to play an episode on a robot that does not do what it should."""
+
+
+class _CutShort(Exception):
+    """An episode that is not whole: it cannot be judged by what there is of it."""
 
 
 def zero_residual(env: EnvBase) -> TensorDictModule:
@@ -92,6 +97,8 @@ def rollout(
                 exclude_done=False,
                 exclude_action=False,
             )
+        if isinstance(env, ResumableEnv) and env.is_cut_short:
+            raise _CutShort("a pause has stopped the robot")
         yield td, running
         running = running & ~td["done"].reshape(slots)
         if not running.any():
@@ -146,12 +153,12 @@ def run_episodes(
 
 
 def whole(play: Callable[[], Iterable[T]]) -> list[T]:
-    """Return what ``play`` gives; it is called again where a fault of the robot cuts it short."""
+    """Return what ``play`` gives; it is called again where a fault or a pause cuts it short."""
     while True:
         try:
             return list(play())
-        except RobotFault as fault:
-            log.warning("an evaluation's episode is played again: %s", fault)
+        except (RobotFault, _CutShort) as reason:
+            log.warning("an evaluation's episode is played again: %s", reason)
             time.sleep(RETRY)
 
 

@@ -43,7 +43,8 @@ from .run_files import CHECKPOINTS
 log = logging.getLogger(__name__)
 
 Note = dict[str, Any]
-"""What is sealed with a checkpoint: ``env_steps``, ``transitions`` (a position), ``config``."""
+"""What is sealed with a checkpoint: ``env_steps``, ``transitions`` (a position), ``config``,
+``lengths`` (those that the run has derived)."""
 
 PREFIX, TORN = "checkpoint-", ".torn"
 
@@ -171,14 +172,14 @@ def newest_whole(
     )
 
 
-def saved_config(run_dir: Path) -> dict[str, Any] | None:
-    """The configuration of a run's newest checkpoint that names one; None if none does."""
+def saved_note(run_dir: Path) -> Note:
+    """Return the note of a run's newest checkpoint that can be read; an empty one without any."""
     for path in reversed(_found(run_dir / CHECKPOINTS)):
         try:
-            return dict(read_note(path)["config"])
+            return read_note(path)
         except ValueError:
             continue
-    return None
+    return {}
 
 
 def load_components(run_dir: Path, components: Mapping[str, Any]) -> tuple[Path, int]:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 SEAL = "seal.json"
+LOCK = ".lock"
 SCHEMA_VERSION = 2
 
 
@@ -51,15 +52,31 @@ def sync(path: Path) -> None:
 def lock(folder: Path) -> int:
     """Claim a directory until the returned descriptor is closed, or the process dies.
 
+    NFS locks only what is open for writing, which a directory cannot be, and says EBADF; there the
+    file ``.lock`` in it stands for it.
+
     Raises:
         BlockingIOError: if another process has claimed it.
+        OSError: if the file system cannot lock.
     """
-    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            return _locked(folder, os.O_RDONLY)
+        except OSError as error:
+            if error.errno != errno.EBADF:
+                raise
+        return _locked(folder / LOCK, os.O_RDWR | os.O_CREAT)
+    except BlockingIOError:
+        raise BlockingIOError(f"{folder}: another process is training in this directory") from None
+
+
+def _locked(path: Path, flags: int) -> int:
+    descriptor = os.open(path, flags, 0o666)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+    except OSError:
         os.close(descriptor)
-        raise BlockingIOError(f"{folder}: another process is training in this directory") from None
+        raise
     return descriptor
 
 

@@ -16,6 +16,7 @@ from rrl.keys import ACTION, EXCEEDS_AUTHORITY, INTERVENED, INTERVENTION
 from rrl.n_step import STEPS, n_step_transitions
 
 from .finite import require_finite
+from .neighbors import named, put_neighbors
 from .room import require_room
 from .stored_images import StoredImages
 from .transition_log import FOLDER, TransitionLog
@@ -283,16 +284,11 @@ class ReplayStore:
 
     def _replace(self, transitions: TensorDict, damaged: list[int], start: int) -> None:
         """Put the nearest sound transition in the place of each damaged one."""
-        more = ", ..." if len(damaged) > 5 else ""
         log.warning(
             "%d of the stored transitions are damaged on disk (records %s); each is replaced by "
             "its neighbor, all others are whole",
             len(damaged),
-            ", ".join(map(str, damaged[:5])) + more,
+            named(damaged),
         )
-        bad = {n - start for n in damaged}
-        sound = [i for i in range(len(transitions)) if i not in bad]
-        if not sound:
+        if not put_neighbors(transitions, {n - start for n in damaged}):
             raise ValueError(f"{self.log.folder}: expected a whole transition near record {start}")
-        for i in bad:
-            transitions[i] = transitions[min(sound, key=lambda j: abs(j - i))]

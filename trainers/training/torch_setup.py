@@ -16,14 +16,20 @@ COLLECTOR_OFFSET = 2**30
 """Apart from every seed that a user can name."""
 
 
-def configure_torch(settings: TrainerSettings, *, collects_only: bool = False) -> None:
+def configure_torch(
+    settings: TrainerSettings, *, collects_only: bool = False, env_steps: int = 0
+) -> None:
     """Set threads and precision, and seed the generators of Python, NumPy and torch.
 
     Args:
         settings: Of the run.
         collects_only: Whether this process only collects, and draws other numbers than the learner.
+        env_steps: Environment steps before this process; after each number of them others are
+            drawn.
     """
     seed = settings.seed + COLLECTOR_OFFSET * collects_only
+    if env_steps:
+        seed = int(np.random.SeedSequence([seed, env_steps]).generate_state(1)[0])
     random.seed(seed)
     np.random.seed(seed)  # noqa: NPY002 - whatever in an environment draws from it
     torch.manual_seed(seed)

@@ -20,7 +20,7 @@ from ..loggers import CSVLogger, Guarded, MetricsLogger, metrics
 from ..loggers.timing import Stopwatch
 from ..seeds import Stream, first_seed
 from ..settings import TrainerSettings
-from ..storage.checkpoints import Checkpoints, newest_whole
+from ..storage.checkpoints import Checkpoints, newest_whole, saved_note
 from ..storage.finite import require_finite
 from ..storage.replay_store import ReplayStore
 from ..storage.same_run import require_same_run
@@ -77,10 +77,11 @@ class Trainer:
         config: Mapping[str, Any] | None = None,
         progress: Progress | None = None,
     ) -> None:
-        settings = (settings or TrainerSettings()).derived(environment.max_episode_steps)
-        self.settings, self.run_dir = settings, Path(run_dir)
+        given, self.run_dir = settings or TrainerSettings(), Path(run_dir)
+        lengths = saved_note(self.run_dir).get("lengths")
+        self.settings = settings = given.derived(environment.max_episode_steps, lengths)
         self.loggers = [Guarded(g) for g in ([CSVLogger()] if loggers is None else loggers)]
-        self.config = dict(config or {"trainer": settings.model_dump()})
+        self.config = dict(config or {"trainer": given.model_dump()})
         self.interruption = Interruption()
         self.progress = progress or Progress.silent()
         self.stopwatch, self.profile = Stopwatch(), Profile()
@@ -267,6 +268,7 @@ class Trainer:
         for logger in self.loggers:
             logger.flush()
         note = {"transitions": self.store.mark(), "config": self.config}
+        note["lengths"] = self.settings.lengths
         self.checkpoints.save(self.env_steps, note)
         self.store.forget(self.checkpoints.oldest_transition() - self.store.capacity)
 

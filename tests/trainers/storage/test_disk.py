@@ -1,12 +1,15 @@
 """Disks that are full, too small, read-only, or of another kind."""
 
+import errno
+import fcntl
 import os
 import subprocess
 from pathlib import Path
 
 import pytest
 
-from rrl.trainers.storage.files import sync
+from rrl.trainers.storage.files import lock, sync
+from rrl.trainers.training.realtime.hand_over import HandOver
 from situation_commands import start
 
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="mounting a small file system needs root")
@@ -55,3 +58,37 @@ def test_a_file_system_that_cannot_sync_a_folder_is_no_hindrance():
     sync(folder)
     with pytest.raises(OSError, match="Invalid argument: '/proc/self/status'"):
         sync(folder / "status")
+
+
+@pytest.fixture
+def _on_nfs(monkeypatch):
+    """Linux's NFS client: an exclusive lock needs a file open for writing, a shared for reading."""
+    flock = fcntl.flock
+
+    def as_ranges(file, operation):
+        mode = fcntl.fcntl(file, fcntl.F_GETFL) & os.O_ACCMODE
+        if operation & fcntl.LOCK_EX and mode == os.O_RDONLY:
+            raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+        if operation & fcntl.LOCK_SH and mode == os.O_WRONLY:
+            raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+        flock(file, operation)
+
+    monkeypatch.setattr(fcntl, "flock", as_ranges)
+
+
+@pytest.mark.usefixtures("_on_nfs")
+def test_a_folder_on_nfs_is_claimed_once(tmp_path):
+    claimed = lock(tmp_path)
+    with pytest.raises(BlockingIOError, match="another process is training in this directory"):
+        lock(tmp_path)
+    os.close(claimed)
+    os.close(lock(tmp_path))
+
+
+@pytest.mark.usefixtures("_on_nfs")
+def test_a_robot_is_wanted_and_given_on_nfs(tmp_path):
+    learner, acting = HandOver(tmp_path), HandOver(tmp_path)
+    assert not acting.is_wanted()
+    with learner.having_robot():
+        assert acting.is_wanted()
+    assert not acting.is_wanted()

@@ -8,6 +8,7 @@ import yaml
 from rrl.algorithms import TD3, mlp
 from rrl.trainers.defaults import default_config
 from rrl.trainers.environment import EnvironmentFactory
+from rrl.trainers.settings import CheckpointSettings
 from rrl.trainers.training.learner import default_agent
 from runs import assert_same_run, run, run_until
 from toy_envs import EPISODE_STEPS
@@ -52,6 +53,22 @@ def test_a_run_that_died_derives_the_same(make_trainer, simulated, step, collect
     resumed = make_trainer("died", **arguments)
     resumed.resume()
     assert_same_run(whole, run(resumed))
+
+
+def test_a_run_that_becomes_longer_keeps_what_it_derived(make_trainer, simulated):
+    """The warm-up is a tenth of a short run; a run that has learned does not stop to warm up."""
+    arguments = {"agent": DERIVING, "warmup_steps": None, "environment": simulated}
+    arguments |= {"checkpoint": CheckpointSettings(every=20)}
+    first = make_trainer(total_steps=400, **arguments)
+    assert first.settings.lengths == {"warmup_steps": 40, "controller_steps": 20}
+    run_until(first, "agent.update", 60)
+    for env_steps in (100, 140):
+        longer = make_trainer(total_steps=4000, **arguments)
+        longer.resume()
+        assert longer.settings.lengths == first.settings.lengths
+        run_until(longer, "agent.update", env_steps)
+    derived = yaml.safe_load((longer.run_dir / "derived.yaml").read_text())
+    assert derived["warmup_steps"] == 40
 
 
 def test_command_line_and_python_share_the_defaults(factory):

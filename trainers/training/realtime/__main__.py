@@ -16,11 +16,14 @@ from rrl.pace import Pace, prioritize
 from ...environment import EnvironmentFactory, ResumableEnv
 from ...settings import TrainerSettings
 from ...storage.files import lock
+from ...storage.transition_log import FOLDER as TRANSITIONS
+from ...storage.transition_log import TransitionLog
 from ..background_collection import portable
 from ..collection_metrics import Authority
 from ..interface import prepare
 from ..torch_setup import configure_torch
 from .acting import Acting
+from .ending import Ending
 from .hand_over import HandOver
 
 log = logging.getLogger("rrl.trainers.training.realtime")  # __name__ is __main__
@@ -32,14 +35,15 @@ class _Process:
     """Builds what acts, and lets it act until the end."""
 
     def __init__(self, hand_over: HandOver, learner: int) -> None:
-        self.hand_over, self.learner, self.told_to_stop = hand_over, learner, False
+        self.hand_over, self.learner, self.ending = hand_over, learner, Ending()
         for number in (signal.SIGINT, signal.SIGHUP):
             signal.signal(number, signal.SIG_IGN)
-        signal.signal(signal.SIGTERM, self._stop)
+        signal.signal(signal.SIGTERM, self.ending.ask)
 
     def run(self) -> None:
         settings, environment, exploration = self.hand_over.read("recipe")
-        configure_torch(settings, collects_only=True)
+        before = TransitionLog(self.hand_over.folder / TRANSITIONS).count
+        configure_torch(settings, collects_only=True, env_steps=before)
         env, interface, explore = prepare(settings, environment, exploration)
         try:
             pace = _pace(settings, environment, env)
@@ -48,9 +52,7 @@ class _Process:
             if not self._wait_for_weights():
                 return
             policy = self.hand_over.read("policy")
-            acting = Acting(
-                settings, env, policy, explore, pace, self.hand_over, lambda: self.told_to_stop
-            )
+            acting = Acting(settings, env, policy, explore, pace, self.hand_over, self.ending)
             prioritize(settings.realtime.priority)
             gc.collect()
             gc.freeze()
@@ -65,13 +67,10 @@ class _Process:
     def _wait_for_weights(self) -> bool:
         """Return False if there is nobody any more who would send some."""
         while not self.hand_over.has_weights():
-            if self.told_to_stop or os.getppid() != self.learner:
+            if self.ending.is_asked or os.getppid() != self.learner:
                 return False
             time.sleep(0.01)
         return True
-
-    def _stop(self, *_: object) -> None:
-        self.told_to_stop = True
 
 
 def _pace(settings: TrainerSettings, environment: EnvironmentFactory, env: ResumableEnv) -> Pace:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import torch
@@ -19,11 +18,12 @@ from rrl.robot import RobotFault
 from rrl.slot_random import seed_env
 
 from ...environment import ResumableEnv
-from ...requests import Requests
+from ...requests import Requests, stop_of
 from ...settings import TrainerSettings
 from ...storage.transition_log import FOLDER, TransitionLog
 from ..collection_metrics import Authority
 from ..policy_vector import assign
+from .ending import Ending
 from .hand_over import HandOver, Weights
 from .policy_thread import PolicyThread
 from .records import Timing, make_record
@@ -57,7 +57,7 @@ class Acting:
         exploration: Adds noise; None: the policy explores by itself.
         pace: Of the environment, or one to keep for it.
         hand_over: Takes transitions and gives weights.
-        told_to_stop: Asked in every step.
+        ending: Looked at in every step; a reset is left at once.
     """
 
     def __init__(
@@ -68,11 +68,11 @@ class Acting:
         exploration: TensorDictModuleBase | None,
         pace: Pace,
         hand_over: HandOver,
-        told_to_stop: Callable[[], bool],
+        ending: Ending,
     ) -> None:
         self.settings, self.env, self.policy = settings, env, policy
         self.exploration, self.pace, self.hand_over = exploration, pace, hand_over
-        self.told_to_stop = told_to_stop
+        self.ending = ending
         modules = [policy] if exploration is None else [policy, exploration]
         self.thread = PolicyThread(TensorDictSequential(*modules), settings.flush_denormals)
         self.log = TransitionLog(Path(hand_over.folder) / FOLDER)
@@ -82,8 +82,8 @@ class Acting:
         self._keeps_pace = pace is not getattr(env.base_env, "pace", None)
         self._keys = _stored(env)
         self._unwritten: list[TensorDictBase] = []
-        self._count = self._annealed = self.log.count
-        self._anneal(self._count)
+        self._count, self._annealed = self.log.count, 0
+        self._anneal(self._count)  # a process that follows another one explores as that one would
         self._weights = Weights(-1, -1, torch.empty(0))
         self._last_command: Tensor | None = None
         self._missed = self._faults = 0  # since the last record
@@ -99,7 +99,7 @@ class Acting:
         """Play episodes."""
         self._take_weights()
         back = True  # whether the robot did what it should the last time
-        while not (self.is_done or self.told_to_stop()):
+        while not (self.is_done or self.ending.is_asked):
             self._hear()
             if self.requests.paused or self.hand_over.is_wanted():
                 time.sleep(0.01)
@@ -116,7 +116,7 @@ class Acting:
 
     def stop(self) -> None:
         """Have the robot stand still, if the environment is one that can."""
-        stop = getattr(self.env.base_env, "stop", None)
+        stop = stop_of(self.env.base_env)
         if stop is not None:
             try:
                 stop()
@@ -127,7 +127,8 @@ class Acting:
         """Play an episode; return whether the robot did what it should."""
         began = time.monotonic()
         try:
-            td = self.env.reset()
+            with self.ending.at_once():
+                td = self.env.reset()
             if not was_fine:
                 log.warning("the robot is back; going on with a new episode")
             was_fine = True
@@ -141,13 +142,13 @@ class Acting:
             return False
         except _Stopped:
             self.stop()
-        if self.is_done or self.told_to_stop() or self.hand_over.is_wanted():
+        if self.is_done or self.ending.is_asked or self.hand_over.is_wanted():
             self.stop()
         return True
 
     def _episode(self, td: TensorDictBase, reset_seconds: float) -> None:
         first, self._last_command = True, None
-        while not (self.is_done or self.told_to_stop()):
+        while not (self.is_done or self.ending.is_asked):
             self._hear()
             if self.requests.paused:
                 raise _Stopped
@@ -231,7 +232,7 @@ class Acting:
 
     def _sleep(self, seconds: float) -> None:
         ends = time.monotonic() + seconds
-        while time.monotonic() < ends and not self.told_to_stop():
+        while time.monotonic() < ends and not self.ending.is_asked:
             time.sleep(0.02)
 
 

@@ -32,7 +32,7 @@ from ..collection_metrics import EpisodeReturns, collection_metrics
 from ..interface import Exploration
 from ..policy_vector import flatten
 from .hand_over import FOLDER, HandOver, Weights
-from .records import TIMING, cut_episodes, seconds_of, timing_metrics
+from .records import TIMING, cut_episodes, read_usable, seconds_of, timing_metrics
 
 __all__ = ["RealTime"]
 
@@ -75,12 +75,14 @@ class RealTime(Collection):
         self._recipe = settings, environment, exploration
         self._process: subprocess.Popen[bytes] | None = None
         self._owns = False
-        self._seed = first_seed(Stream.TRAINING, settings.seed)
+        self._seed = self._seed_anew = first_seed(Stream.TRAINING, settings.seed)
         self._returns = EpisodeReturns(1)
         self._log = TransitionLog(self._hand_over.folder / TRANSITIONS)
         self._found = self._finds_process()
         if not self._found:
             self._start()
+        elif (weights := self._hand_over.new_weights()) is not None:
+            self._seed = weights.seed  # its episodes go on as they are
         self.interface, self._authority, self._is_robot = self._wait_for("interface")
         self._relayed = self._end_of_messages()
 
@@ -97,19 +99,18 @@ class RealTime(Collection):
 
     def collect(self, env_steps: int) -> tuple[TensorDictBase, Metrics]:
         """Give the process the newest weights, and wait for the round to be there."""
-        self._owns = True
-        self._hand_over.publish(Weights(env_steps, self._seed, flatten(self._policy)))
+        self._take_over()
+        self._publish(env_steps)
         end = env_steps + self.settings.steps_per_round
         while self._log.refresh() < end:
             self._relay()
+            if self._has_made_its_steps():
+                self._follow()
+                self._publish(env_steps)
             self._require_process()
             time.sleep(POLL)
         self._relay()
-        data, damaged = self._log.read(env_steps, end)
-        if damaged:
-            raise ValueError(
-                f"{self._log.folder}: expected whole records, got damaged ones: {damaged[:5]}"
-            )
+        data = read_usable(self._log, env_steps, end, self.interface.kept)
         cut_episodes(data)
         if bool(data[TIMING, "first"][0]):
             self._returns.reset()
@@ -126,6 +127,7 @@ class RealTime(Collection):
 
     def start_episode(self, seed: int) -> None:
         """Let a process that was started anew draw from ``seed``; one that was found goes on."""
+        self._seed_anew = seed
         if not self._found:
             self._seed = seed
 
@@ -158,6 +160,32 @@ class RealTime(Collection):
                 os.kill(pid, signal.SIGKILL)
         if self._process is not None:
             self._process.wait()
+
+    def _publish(self, env_steps: int) -> None:
+        self._hand_over.publish(Weights(env_steps, self._seed, flatten(self._policy)))
+
+    def _take_over(self) -> None:
+        """Have the process go on that an earlier learner left paused; whoever resumes wants it."""
+        is_left = self._found and not self._owns and not self.requests.paused
+        self._owns = True
+        if is_left and self._hand_over.is_paused():
+            log.warning("the environment was paused when the learner before ended: it goes on")
+            self._hand_over.tell(Request.GO_ON)
+
+    def _has_made_its_steps(self) -> bool:
+        """Return whether a process that was found has ended because it was to make no more."""
+        if not self._found or self._hand_over.is_alive():
+            return False
+        settings: TrainerSettings = self._hand_over.read("recipe")[0]
+        return self._log.refresh() >= settings.total_steps
+
+    def _follow(self) -> None:
+        """Start another process, for the steps by which the run is longer than it was."""
+        log.info("the run is longer than the process knew that has driven the environment")
+        self._found, self._seed = False, self._seed_anew
+        self._start()
+        self._wait_for("interface")
+        self.set_policy(self._policy)
 
     def _finds_process(self) -> bool:
         """Return whether an earlier learner's process acts.

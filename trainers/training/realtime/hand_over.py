@@ -99,6 +99,12 @@ class HandOver:
         self._heard += len(whole)
         return [Request[name] for name in whole.decode("ascii").split()]
 
+    def is_paused(self) -> bool:
+        """Return whether a person has asked for a pause that nobody has ended."""
+        pauses = {Request.PAUSE, Request.GO_ON}
+        asked = [request for request in HandOver(self.folder).heard() if request in pauses]
+        return asked[-1:] == [Request.PAUSE]
+
     def publish(self, weights: Weights) -> None:
         """Replace the weights."""
         header = torch.tensor([weights.env_steps, weights.seed])
@@ -141,7 +147,7 @@ class HandOver:
 
     def is_wanted(self) -> bool:
         """Return whether somebody waits for the robot."""
-        with (self.folder / "wish").open("ab") as file:
+        with (self.folder / "wish").open("a+b") as file:  # a shared lock may need a reader
             try:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
             except BlockingIOError:

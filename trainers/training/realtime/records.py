@@ -2,16 +2,31 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
 
 from ...loggers import metrics
+from ...storage.neighbors import named, put_neighbors
+from ...storage.replay_store import as_stored
+from ...storage.transition_log import TransitionLog
 
-__all__ = ["TIMING", "Timing", "cut_episodes", "make_record", "seconds_of", "timing_metrics"]
+__all__ = [
+    "TIMING",
+    "Timing",
+    "cut_episodes",
+    "make_record",
+    "read_usable",
+    "seconds_of",
+    "timing_metrics",
+]
+
+log = logging.getLogger(__name__)
 
 TIMING = "timing"
 """The entry of a record that says how the step was done."""
@@ -49,6 +64,55 @@ def make_record(td: TensorDictBase, timing: Timing) -> TensorDict:
         kind = np.asarray(value).dtype
         record[TIMING, name] = torch.from_numpy(np.full((1, 1), value, kind))
     return record
+
+
+def read_usable(
+    records: TransitionLog, first: int, last: int, kept: Sequence[NestedKey]
+) -> TensorDict:
+    """Return records ``[T]``, of which those that cannot be used are replaced.
+
+    A record that is damaged on disk, or not finite in what is learned from, stays in the log for
+    ever; its neighbor stands for it, apart from the steps around it.
+
+    Args:
+        records: Of the acting process.
+        first: Number of the first record.
+        last: Number after the last one.
+        kept: What is learned from of a state.
+
+    Raises:
+        ValueError: If none near them can be used.
+    """
+    data, damaged = records.read(first, last)
+    if not damaged and not _not_finite(data, kept):
+        return data
+    start = max(0, 2 * first - last)  # one before them may be the nearest that is sound
+    data, damaged = records.read(start, last)
+    bad = {number - start for number in damaged} | _not_finite(data, kept)
+    here = {number + start for number in bad if number + start >= first}
+    log.warning(
+        "%d of the acting process's records (%s) are damaged on disk or not finite; each is "
+        "replaced by its neighbor, apart from the steps around it",
+        len(here),
+        named(here),
+    )
+    if not put_neighbors(data, bad):
+        raise ValueError(
+            f"{records.folder}: expected a whole record of finite numbers among {start} to "
+            f"{last - 1}, got none; see to the sensor, the controller or the disk, and start a new "
+            "run"
+        )
+    apart = {place for number in bad for place in (number, number + 1) if place < len(data)}
+    data[TIMING, "first"][sorted(apart)] = True
+    return data[first - start :]
+
+
+def _not_finite(data: TensorDictBase, kept: Sequence[NestedKey]) -> set[int]:
+    """Return the places of records that have such a number in what is learned from."""
+    stored = as_stored(data.unsqueeze(0), kept)[0]
+    floats = [v for v in stored.values(True, True) if v.is_floating_point()]
+    bad = torch.stack([~v.isfinite().reshape(len(data), -1).all(-1) for v in floats]).any(0)
+    return set(bad.nonzero().flatten().tolist())
 
 
 def cut_episodes(data: TensorDictBase) -> None:

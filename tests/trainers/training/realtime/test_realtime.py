@@ -4,34 +4,19 @@ import logging
 import os
 import signal
 import time
-from dataclasses import replace
-from multiprocessing import get_context
 
 import pytest
 import torch
 
+from realtime_runs import PERIOD, Paced, acted, learn, learn_and_be_killed
 from rrl.trainers.settings import (
-    AcceptanceSettings,
-    CheckpointSettings,
     EvaluationSettings,
-    RealTimeSettings,
 )
-from rrl.trainers.storage.transition_log import TransitionLog
 from rrl.trainers.training.realtime.hand_over import HandOver
 from runs import run
 from toy_envs import EPISODE_STEPS, PointMass
 
-PERIOD = 0.01
 SAID = 0.25  # what Hesitant says
-
-
-class Paced(PointMass):
-    """A point that says how long its steps last."""
-
-    control_period = PERIOD
-
-    def __init__(self, num_envs=1, **arguments):
-        super().__init__([num_envs], **arguments)
 
 
 class Broken(Paced):
@@ -60,45 +45,6 @@ class Hesitant(torch.nn.Module):
         return tensordict.set("action", torch.full_like(tensordict["action"], SAID))
 
 
-@pytest.fixture(autouse=True)
-def _nobody_left(tmp_path):
-    """A test that fails leaves no process behind."""
-    yield
-    for pid in tmp_path.glob("*/realtime/pid"):
-        if HandOver(pid.parent).is_alive():
-            os.kill(int(pid.read_text()), signal.SIGKILL)
-
-
-@pytest.fixture
-def make(make_trainer, factory):
-    """Builds a trainer of 100 Hz; 20 steps a round."""
-
-    def make(run_dir="run", base=Paced, realtime=None, **changes):
-        values = {
-            "environment": replace(factory, base=base),
-            "collection": "realtime",
-            "realtime": RealTimeSettings(**{"priority": 0, "budget": 1.0, **(realtime or {})}),
-            "total_steps": 120,
-            "warmup_steps": 40,
-            "controller_steps": 0,
-            "n_step": 1,
-            "evaluation": EvaluationSettings(every=0, final_episodes=2),
-            "acceptance": AcceptanceSettings(enabled=False),
-            "checkpoint": CheckpointSettings(every=40),
-        }
-        return make_trainer(run_dir, **{**values, **changes})
-
-    return make
-
-
-def acted(run_dir):
-    """What the acting process has stored so far."""
-    log = TransitionLog(run_dir / "realtime" / "transitions")
-    data, damaged = log.read(0, log.count)
-    assert not damaged
-    return data
-
-
 def assert_each_once(trainer):
     """The learner has stored what was acted, in order."""
     data = acted(trainer.run_dir)
@@ -119,30 +65,6 @@ def test_a_run_takes_every_transition_once_and_measures_its_timing(make):
     assert (times.diff()[~first[1:]]).mean() >= 0.9 * PERIOD
     assert "realtime/period_error_ms_p99" in (trainer.run_dir / "metrics.csv").read_text()
     assert not HandOver(trainer.run_dir / "realtime").is_alive()
-
-
-def learn(make, until=None, **changes):
-    """Begin or resume a run; the learner kills itself after so many steps."""
-    with make(**changes) as trainer:
-        if trainer.checkpoints.exist():
-            trainer.resume()
-        one_round = trainer._round
-
-        def dying():
-            one_round()
-            if until is not None and trainer.env_steps >= until:
-                os.kill(os.getpid(), signal.SIGKILL)
-
-        trainer._round = dying
-        trainer.run()
-        return trainer
-
-
-def learn_and_be_killed(make, until, **changes):
-    child = get_context("fork").Process(target=learn, args=(make, until), kwargs=changes)
-    child.start()
-    child.join()
-    assert child.exitcode == -signal.SIGKILL
 
 
 def test_killed_learners_lose_nothing_and_the_environment_goes_on(make, tmp_path):

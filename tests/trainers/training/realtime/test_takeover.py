@@ -1,0 +1,178 @@
+"""Whoever takes over from a learner or an acting process goes on where that one was."""
+
+import os
+import signal
+import threading
+from functools import partial
+
+import pytest
+import torch
+
+from realtime_runs import (
+    Paced,
+    acted,
+    acting_pid,
+    learn,
+    learn_and_be_killed,
+    wait_for,
+)
+from rrl.trainers.storage.transition_log import TransitionLog
+from rrl.trainers.training.realtime.hand_over import HandOver
+from runs import run
+
+SLOW = {"realtime": {"period": 0.02}}
+
+
+class Counting(torch.nn.Module):
+    """Exploration that says in its actions how far it is annealed, and what it draws."""
+
+    in_keys, out_keys = ["action"], ["action"]
+
+    def __init__(self, spec):
+        super().__init__()
+        self.frames = 0
+
+    def step(self, frames=1):
+        self.frames += frames
+
+    def forward(self, tensordict):
+        action = torch.tensor([[self.frames / 1000, float(torch.rand(()))]])
+        return tensordict.set("action", action)
+
+
+class Resting(Paced):
+    """Takes a minute for its second reset, and writes down what it is asked to."""
+
+    def __init__(self, folder, num_envs=1):
+        super().__init__(num_envs)
+        self.folder, self.steps_taken = folder, 0
+
+    def _step(self, tensordict):
+        self.steps_taken += 1
+        return super()._step(tensordict)
+
+    def _reset(self, tensordict=None, **kwargs):
+        if self.steps_taken:
+            (self.folder / "resetting").touch()
+            threading.Event().wait(60)
+        return super()._reset(tensordict, **kwargs)
+
+    def stop(self):
+        (self.folder / "stopped").touch()
+
+
+class Blinking(Paced):
+    """Does not see its goal in its third reset."""
+
+    ended = 0
+
+    def _step(self, tensordict):
+        out = super()._step(tensordict)
+        self.ended += int(out["done"].any())
+        return out
+
+    def _reset(self, tensordict=None, **kwargs):
+        out = super()._reset(tensordict, **kwargs)
+        if self.ended == 2:
+            self.ended += 1  # the next one is whole
+            out["goal"] = torch.full_like(out["goal"], float("nan"))
+        return out
+
+
+def kill_the_process(trainer):
+    os.kill(acting_pid(trainer.run_dir), signal.SIGKILL)
+
+
+def test_a_process_that_follows_another_explores_as_that_one_would(make):
+    trainer = make(total_steps=200, exploration=Counting, **SLOW)
+    one_round = trainer._round
+
+    def kill_at_100():
+        if trainer.env_steps == 100:
+            kill_the_process(trainer)
+        one_round()
+
+    trainer._round = kill_at_100
+    with trainer, pytest.raises(RuntimeError, match="the acting process died"):
+        trainer.run()
+    second = make(total_steps=200, exploration=Counting, **SLOW)
+    second.resume()
+    data = acted(run(second).run_dir)
+    in_time = data["timing", "missed"].flatten() == 0
+    annealed, drawn = data["action"][:, 0] * 1000, data["action"][:, 1]
+    assert (annealed - torch.arange(200))[in_time].abs().max() < 5
+    assert len(drawn[in_time].unique()) == in_time.sum()
+
+
+def test_a_learner_that_died_in_a_pause_leaves_none_behind(make, tmp_path, caplog):
+    def pause(trainer):
+        trainer.person.pause()
+        threading.Event().wait(0.5)
+
+    learn_and_be_killed(make, 60, pause, **SLOW)
+    assert len(acted(tmp_path / "run")) < 120
+    threading.Thread(target=learn, args=(make,), kwargs=SLOW, daemon=True).start()
+    wait_for(lambda: len(acted(tmp_path / "run")) == 120)
+    wait_for(lambda: not HandOver(tmp_path / "run/realtime").is_alive())
+    assert "was paused when the learner before ended: it goes on" in caplog.text
+
+
+def test_a_robot_that_is_being_reset_is_stopped_when_its_process_is_told_to_end(make, tmp_path):
+    trainer = make(base=partial(Resting, tmp_path))
+
+    def play():
+        with pytest.raises(RuntimeError, match="the acting process died"):
+            trainer.run()
+
+    thread = threading.Thread(target=play, daemon=True)
+    thread.start()
+    wait_for((tmp_path / "resetting").exists)
+    (tmp_path / "stopped").unlink(missing_ok=True)
+    os.kill(acting_pid(trainer.run_dir), signal.SIGTERM)
+    wait_for(lambda: not HandOver(trainer.run_dir / "realtime").is_alive(), 5.0)
+    assert (tmp_path / "stopped").exists()
+    thread.join(10)
+    trainer.close()
+
+
+def test_what_is_not_finite_costs_a_step_not_the_run(make, caplog):
+    trainer = run(make(base=Blinking))
+    data, stored = acted(trainer.run_dir), trainer.replay[:]
+    blind = data["goal"].isnan().any(-1)
+    assert blind.nonzero().flatten().tolist() == [40]
+    assert all(v.isfinite().all() for v in stored.values(True, True) if v.is_floating_point())
+    assert torch.equal(stored["goal"][~blind], data["goal"][~blind])
+    assert caplog.text.count("1 of the acting process's records (40)") == 1
+
+
+@pytest.mark.slow
+def test_a_damaged_record_is_replaced_by_its_neighbor(make, tmp_path):
+    run_dir = tmp_path / "run"
+    learn_and_be_killed(make, 40, **SLOW)
+    wait_for(lambda: len(acted(run_dir)) >= 80)
+    log = TransitionLog(run_dir / "realtime" / "transitions")
+    with (log.folder / "segment_000000.bin").open("r+b") as file:
+        file.seek(75 * log._record.itemsize + log._record.fields['["action"]'][1])
+        file.write(b"\x55\xaa")
+    trainer = learn(make, **SLOW)
+    data, damaged = log.read(0, 120)
+    assert damaged == [75]
+    stored = trainer.replay[:]
+    assert len(stored) == 120
+    sound = torch.arange(120) != 75
+    assert torch.equal(stored["action"][sound], data["action"][sound])
+    assert torch.equal(stored["goal"][75], data["goal"][74])
+    assert stored["next", "done"].flatten()[74:77].tolist() == [True, True, False]
+
+
+@pytest.mark.slow
+def test_a_longer_run_goes_on_and_no_episode_comes_again(make, tmp_path):
+    learn_and_be_killed(make, 40, kill_the_process, total_steps=160, **SLOW)
+    learn_and_be_killed(make, 80, total_steps=160, **SLOW)
+    assert HandOver(tmp_path / "run/realtime").is_alive()
+    trainer = learn(make, total_steps=240, **SLOW)
+    data = acted(tmp_path / "run")
+    assert trainer.env_steps == len(data) == 240
+    assert torch.equal(trainer.replay[:]["action"], data["action"])
+    starts = data["goal"][data["timing", "first"].flatten()]
+    assert len(starts.unique(dim=0)) == len(starts) >= 12

@@ -1,0 +1,138 @@
+"""A pause stops a robot, whoever steps it, and ends its episode; what follows begins with a reset."""
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from rrl.envs import RobotEnv
+from rrl.robot import Description, EntrySpec, Observation, Robot
+from rrl.trainers.environment import Input
+from rrl.trainers.evaluation import rollout
+from rrl.trainers.evaluation.evaluator import Evaluator
+from rrl.trainers.requests import Request, Requests
+from rrl.trainers.seeds import Stream
+from rrl.trainers.settings import AcceptanceSettings, EvaluationSettings
+
+PERIOD, EPISODE_STEPS, PAUSE = 0.005, 10, 0.3
+QUIET = {
+    "evaluation": EvaluationSettings(every=0, final_episodes=1),
+    "acceptance": AcceptanceSettings(enabled=False),
+}
+
+
+class Carriage(Robot):
+    """Goes on with its last command, and writes down what it is told."""
+
+    description = Description(
+        entries={"end_effector_position": EntrySpec((2,)), "goal": EntrySpec((2,))}
+        | {"reward": EntrySpec((1,))},
+        low=(-1.0, -1.0),
+        high=(1.0, 1.0),
+        period=PERIOD,
+    )
+
+    def __init__(self, at_command=None):
+        self.told, self._clock, self._at_command = [], 0.0, at_command or {}
+
+    def observe(self):
+        self._clock += PERIOD
+        entries = {"end_effector_position": np.zeros(2), "goal": np.ones(2), "reward": [0.0]}
+        return Observation(entries, self._clock)
+
+    def command(self, action):
+        self.told.append("command")
+        if act := self._at_command.pop(self.told.count("command"), None):
+            act()
+
+    def reset(self, seed=None):
+        self.told.append("reset")
+
+    def stop(self):
+        self.told.append("stop")
+
+
+@pytest.fixture
+def driven(factory):
+    """The environment of a robot, or of what makes one."""
+
+    def make(robot):
+        return replace(
+            factory,
+            base=lambda: RobotEnv(robot, episode_steps=EPISODE_STEPS),
+            inputs={"end_effector_position": Input(), "goal": Input()},
+            batching="serial",
+            max_episode_steps=EPISODE_STEPS,
+        )
+
+    return make
+
+
+@pytest.mark.parametrize("collection", ["turn", "overlap"])
+def test_the_step_that_finds_a_pause_ends_the_episode(make_trainer, driven, collection):
+    changes = {"total_steps": 80, "warmup_steps": 40, "collection": collection, "n_step": 1}
+    with make_trainer(environment=driven(Carriage), **QUIET, **changes) as trainer:
+        trainer.person.pause()
+        threading.Timer(PAUSE, trainer.person.go_on).start()
+        trainer.run()
+        ends = trainer.replay[:]["next", "done"].flatten().nonzero().flatten()
+        assert ends[:3].tolist() == [0, EPISODE_STEPS, 2 * EPISODE_STEPS]
+        assert not trainer.replay[:]["next", "terminated"].any()
+
+
+def pausing(at, tell):
+    """A robot during whose command ``at`` there begins a pause."""
+
+    def pause():
+        robot.told.append("pause")
+        tell(Request.PAUSE)
+        threading.Timer(PAUSE, go_on).start()
+
+    def go_on():
+        robot.told.append("go on")
+        tell(Request.GO_ON)
+
+    robot = Carriage({at: pause})
+    return robot
+
+
+def told_in_pause(robot):
+    first, last = robot.told.index("pause"), robot.told.index("go on")
+    return set(robot.told[first + 1 : last]), robot.told[last + 1 : last + 3]
+
+
+def test_a_robot_hears_nothing_but_stop_while_there_is_a_pause(make_trainer, driven):
+    robot = pausing(4, lambda request: trainer.collection.tell(request))
+    with make_trainer(environment=driven(robot), **QUIET) as trainer:
+        data = trainer.collection.rollout(0)
+    assert told_in_pause(robot) == ({"stop"}, ["reset", "command"])
+    assert data["next", "truncated"].flatten().nonzero().flatten().tolist() == [4, 14]
+
+
+def test_an_evaluated_episode_that_a_pause_cuts_short_is_played_again(driven, monkeypatch, caplog):
+    monkeypatch.setattr(rollout, "RETRY", 0.0)
+    requests = Requests()
+    robot = pausing(14, requests.take)
+    settings = EvaluationSettings(episodes=3, slots=1)
+    evaluator = Evaluator({"rail": driven(robot)}, settings, requests)
+    episodes = evaluator.controller("rail", Stream.FOLLOWING, 3)
+    evaluator.close()
+    assert episodes.lengths.tolist() == [EPISODE_STEPS] * 3
+    assert told_in_pause(robot) == ({"stop"}, ["reset", "command"])
+    assert caplog.text.count("played again: a pause has stopped the robot") == 1
+
+
+def test_a_stopped_robot_gets_no_command_before_its_next_reset():
+    robot = Carriage()
+    env = RobotEnv(robot, episode_steps=EPISODE_STEPS)
+    td = env.reset().set("action", torch.zeros(2))
+    env.stop()
+    following = env.step(td)["next"]
+    assert following["truncated"] and following["done"]
+    assert robot.told == ["reset", "stop"]
+    following = env.step(env.reset().set("action", torch.zeros(2)))["next"]
+    assert not following["done"]
+    assert robot.told[2:] == ["reset", "command"]
+    env.close()
