@@ -91,8 +91,7 @@ class Trainer:
         explore = exploration or default_exploration()
         self.collection = make_collection(settings, environment, explore, self.run_dir)
         make_agent = agent or default_agent(environment)
-        self.agent = make_agent(**self.collection.interface.arguments())
-        self.agent.to(settings.device)
+        self.agent = make_agent(**self.collection.interface.arguments()).to(settings.device)
         self.collection.set_policy(self.agent.policy)
         self.store = ReplayStore(
             self.run_dir,
@@ -114,9 +113,8 @@ class Trainer:
         self.learning = Learning(
             self.agent, self.store, self.constraints, settings, self.run_dir, self.stopwatch
         )
-        self.clock = Clock(self.evaluator.lap)
         self.counters: dict[str, int] = {"env_steps": 0, "restarts": 0}
-        self._resumed = False
+        self.clock, self._resumed = Clock(self.evaluator.lap), False
         components = {
             "agent": self.agent,
             "collection": self.collection,

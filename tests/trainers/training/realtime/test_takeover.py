@@ -18,6 +18,7 @@ from realtime_runs import (
 )
 from rrl.trainers.storage.transition_log import TransitionLog
 from rrl.trainers.training.realtime.hand_over import HandOver
+from rrl.trainers.training.realtime.records import read_usable
 from runs import run
 
 SLOW = {"realtime": {"period": 0.02}}
@@ -135,14 +136,26 @@ def test_a_robot_that_is_being_reset_is_stopped_when_its_process_is_told_to_end(
     trainer.close()
 
 
-def test_what_is_not_finite_costs_a_step_not_the_run(make, caplog):
+def test_a_robot_that_is_blind_at_a_reset_costs_an_episode(make, caplog):
     trainer = run(make(base=Blinking))
     data, stored = acted(trainer.run_dir), trainer.replay[:]
-    blind = data["goal"].isnan().any(-1)
-    assert blind.nonzero().flatten().tolist() == [40]
     assert all(v.isfinite().all() for v in stored.values(True, True) if v.is_floating_point())
-    assert torch.equal(stored["goal"][~blind], data["goal"][~blind])
-    assert caplog.text.count("1 of the acting process's records (40)") == 1
+    assert torch.equal(stored["goal"], data["goal"])
+    assert data["timing", "first"].flatten()[40:42].tolist() == [True, True]
+    assert caplog.text.count("goal: NaN or infinity") == 1
+
+
+def test_a_record_that_is_not_finite_is_replaced_by_its_neighbor(make, tmp_path, caplog):
+    data = acted(run(make()).run_dir)
+    log, bad = TransitionLog(tmp_path / "other"), data.clone()
+    bad["goal"][40] = torch.nan
+    log.append(bad)
+    for _ in range(2):  # it stays in the log for ever
+        found = read_usable(log, 20, 60, ["end_effector_position", "goal"])
+        assert torch.equal(found["goal"][20], data["goal"][39])
+        assert torch.equal(found["goal"][21:], data["goal"][41:60])
+        assert found["timing", "first"].flatten()[20:22].tolist() == [True, True]
+    assert caplog.text.count("1 of the acting process's records (40)") == 2
 
 
 @pytest.mark.slow
