@@ -171,8 +171,7 @@ def test_images_are_made_where_the_numbers_lie():
     assert symmetry.images(numbers).device.type == "meta"
     assert symmetry.reflect(numbers, which.to("meta")).device.type == "meta"
     assert symmetry.return_actions(torch.zeros(3, 2, 1, device="meta")).device.type == "meta"
-    batches = TensorDict(
-        {"observation": numbers, "action": numbers[:, :1], "next": {"observation": numbers}}, [3]
-    )
+    entries = {FEATURES: numbers, "action": numbers[:, :1], "next": {FEATURES: numbers}}
+    batches = TensorDict(entries, [3])
     symmetry.reflect_transitions(batches)
     assert batches["action"].device.type == "meta"
