@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from ..evaluation.statistics import mean_interval
 from ..report.learning_curve import ACCEPTED_COLOR, CONTROLLER_COLOR, RESIDUAL_COLOR
-from .front import draw_front
+from .front import SHOWN, draw_front
 from .looks import COLORS, MARKERS, PANELS
 from .outcomes import Finding, Outcome
 from .spec import Experiment
@@ -152,7 +152,7 @@ def _tasks(experiment: Experiment, finding: Finding) -> Figure:
 
 def _front(experiment: Experiment, finding: Finding) -> Figure:
     figure, axes = draw_front(experiment, finding)
-    _finish(figure, axes, experiment, finding)
+    _finish(figure, axes, experiment, finding, SHOWN)
     return figure
 
 
@@ -181,7 +181,13 @@ def _panels(experiment: Experiment, finding: Finding) -> tuple[Figure, list[Axes
     return figure, axes
 
 
-def _finish(figure: Figure, axes: Sequence[Axes], experiment: Experiment, finding: Finding) -> None:
+def _finish(
+    figure: Figure,
+    axes: Sequence[Axes],
+    experiment: Experiment,
+    finding: Finding,
+    shown: str = INTERVAL,
+) -> None:
     for axis in axes:
         axis.grid(alpha=0.25)
         axis.spines[["top", "right"]].set_visible(False)
@@ -190,7 +196,7 @@ def _finish(figure: Figure, axes: Sequence[Axes], experiment: Experiment, findin
     figure.legend(handles, labels, ncols=min(3, len(labels)), **look)
     counts = sorted({len(outcome.runs) for outcome in finding.outcomes})
     seeds = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
-    title = f"{experiment.heading}\n{seeds} seeds, {INTERVAL}"
+    title = f"{experiment.heading}\n{seeds} seeds, {shown}"
     figure.suptitle(title, fontsize=10)
 
 

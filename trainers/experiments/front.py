@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 
 from rrl.keys import METRICS
 
-from ..evaluation.statistics import mean_interval
 from ..report.learning_curve import CONTROLLER_COLOR
 from ..report.panels import ABOVE, quantity_title
 from ..report.tables import with_interval
@@ -20,18 +19,22 @@ from .outcomes import Finding, Outcome
 from .spec import Experiment
 from .tables import Table, interval_of
 
-__all__ = ["draw_front", "front_rows"]
+__all__ = ["SHOWN", "draw_front", "front_rows"]
 
 CONTROLLER = "controller_"
 HIGH = "_p99"
 LIMIT = f"{ABOVE}limit"
+SHOWN = (
+    "large: mean of the seeds, bar: 95 % interval of success; small: each seed; "
+    "dotted: to the mean of the 99th percentiles"
+)
+"""What the figure's marks are."""
 
 
 def draw_front(experiment: Experiment, finding: Finding) -> tuple[Figure, list[Axes]]:
     """Draw a panel for every scenario: success over the mean of ``experiment.metric``.
 
-    Bars are 95 % intervals over seeds; a dotted line leads to the mean of the 99th percentiles.
-    Return stands in for success where the environment reports none.
+    Return stands in for success where the environment reports none. See :data:`SHOWN`.
     """
     quantity, first = f"{METRICS}/{experiment.metric}", finding.outcomes[0]
     _, label, unit = _reached(first)
@@ -47,13 +50,18 @@ def draw_front(experiment: Experiment, finding: Finding) -> tuple[Figure, list[A
         if limit is not None:
             axis.axvline(limit, color="#999999", lw=1, label="limit of single episodes")
         axis.set(title=scenario, xlabel=title, ylabel=label)
+        if axis.dataLim.x0 >= 0.0:
+            axis.set_xlim(left=0.0)
         if unit == 100.0:
             axis.set_ylim(-3, 103)
     return figure, axes
 
 
 def front_rows(experiment: Experiment, finding: Finding) -> Table:
-    """Return success, and of the metric mean, 99th percentile and share above its limit."""
+    """Return success, and of the metric mean, 99th percentile and share above its limit.
+
+    Success has its interval over seeds; of the metric the range over seeds stands beside the mean.
+    """
     quantity, first = f"{METRICS}/{experiment.metric}", finding.outcomes[0]
     shown = [e for e in (quantity, quantity + HIGH, quantity + LIMIT) if first.knows(e)]
     titles = [quantity_title(e, _declared(experiment, first)) for e in shown]
@@ -69,10 +77,13 @@ def front_rows(experiment: Experiment, finding: Finding) -> Table:
 
 
 def _row(outcome: Outcome, scenario: str, reached: str, shown: Sequence[str]) -> list[str]:
-    cells = []
-    for entry in (reached, *shown):
-        interval, unit = interval_of(outcome, entry, scenario), _unit(entry)
-        cells.append(with_interval(outcome.final(entry, scenario).mean(), interval, unit))
+    mean, interval = (
+        outcome.final(reached, scenario).mean(),
+        interval_of(outcome, reached, scenario),
+    )
+    cells = [with_interval(mean, interval, _unit(reached))]
+    for values in (outcome.final(entry, scenario) * _unit(entry) for entry in shown):
+        cells.append(f"{values.mean():.1f} ({values.min():.1f} to {values.max():.1f})")
     return [scenario, outcome.point.arm, str(len(outcome.runs)), *cells]
 
 
@@ -80,12 +91,12 @@ def _point(
     axis: Axes, outcome: Outcome, scenario: str, quantity: str, look: dict[str, Any]
 ) -> None:
     reached, _, unit = _reached(outcome)
-    values = outcome.final(quantity, scenario)
-    at, height = values.mean(), unit * outcome.final(reached, scenario).mean()
-    across = _error(at, *mean_interval(values))
-    along = _error(height, *(unit * bound for bound in interval_of(outcome, reached, scenario)))
-    label = outcome.point.arm
-    axis.errorbar(at, height, along, across, label=label, capsize=3, ms=7, ls="", **look)
+    values, each = outcome.final(quantity, scenario), unit * outcome.final(reached, scenario)
+    axis.plot(values, each, ls="", ms=4, alpha=0.45, **look)
+    at, height = values.mean(), each.mean()
+    low, high = (unit * bound for bound in interval_of(outcome, reached, scenario))
+    along = np.nan_to_num(np.maximum(0.0, [[height - low], [high - height]]))
+    axis.errorbar(at, height, along, label=outcome.point.arm, capsize=3, ms=8, ls="", **look)
     _tail(axis, at, outcome.final(quantity + HIGH, scenario).mean(), height, look["color"])
 
 
@@ -102,10 +113,6 @@ def _tail(axis: Axes, at: float, high: float, height: float, color: str) -> None
     """Draw the way from a mean to the 99th percentile."""
     axis.plot([at, high], [height, height], ":", color=color, lw=1.2)
     axis.plot(high, height, "|", color=color, ms=9)
-
-
-def _error(value: float, low: float, high: float) -> np.ndarray:
-    return np.nan_to_num(np.maximum(0.0, [[value - low], [high - value]]))
 
 
 def _reached(outcome: Outcome) -> tuple[str, str, float]:
