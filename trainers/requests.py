@@ -14,6 +14,7 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase, ParallelEnv
 
 from rrl.keys import SUCCESS
+from rrl.transforms.safety.truncation import truncate
 
 __all__ = ["Request", "Requests", "stop_of"]
 
@@ -95,9 +96,7 @@ class Requests:
     @staticmethod
     def cut(next_td: TensorDictBase) -> None:
         """End the episode of ``next_td``, which is truncated; its ``success`` stays."""
-        for key in ("done", "truncated"):
-            if (entry := next_td.get(key, None)) is not None:
-                next_td.set(key, torch.ones_like(entry))
+        truncate(next_td, torch.ones(*next_td.batch_size, 1, dtype=torch.bool))
 
     def before_reset(self, env: EnvBase) -> None:
         """Wait while there is a pause, with a robot that stands still.

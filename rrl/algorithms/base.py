@@ -177,17 +177,16 @@ class Agent(nn.Module, ABC):
             standardized, center and scale.
         """
         inputs = dict[NestedKey, Any]()
-        self.is_calibrated = True
-        self.follow(transitions)
+        self.follow_rewards(transitions)
         for reading in self.readings if self.symmetry is None else ():
             inputs |= reading.calibrate(transitions)
+        self.is_calibrated = True
         lengths = {"gamma": self.gamma, "penalty_updates": self.penalty_updates}
         return {**lengths, "reward_scale": float(self.reward_scale), "inputs": inputs}
 
-    def follow(self, transitions: TensorDictBase) -> None:
-        """Let a derived reward scale follow the rewards ``[n]`` of all that is learned from."""
-        if self.is_calibrated:
-            self.rewards.follow(transitions, self.gamma, self.loss, self._value_layer)
+    def follow_rewards(self, transitions: TensorDictBase) -> None:
+        """Let a derived reward scale follow all rewards ``[n]`` as the environment gave them."""
+        self.rewards.follow(transitions, self.gamma, self.loss, self._value_layer)
 
     @property
     def compile_seconds(self) -> float:

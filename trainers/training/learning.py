@@ -58,10 +58,11 @@ class Learning:
             FloatingPointError: If a loss is no longer finite.
         """
         updates = self.settings.updates_per_round
-        if not self.agent.is_calibrated:
+        if self.agent.is_calibrated:
+            self.agent.follow_rewards(self.store.rewards())
+        else:
             self._derive()
             updates += self.agent.settings.critic_burn_in
-        self.agent.follow(self.store.rewards())
         compiled = self.agent.compile_seconds
         sums: dict[str, tuple[float, int]] = {}
         with self.generator.drawing():

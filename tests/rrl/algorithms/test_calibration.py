@@ -41,14 +41,14 @@ def test_rewards_that_grow_are_scaled_anew_and_values_keep_their_meaning(algorit
     data = batches(64)
     agent.calibrate(data.reshape(-1))
     scale, values = float(agent.reward_scale), _values(agent, data)
-    agent.follow(data.reshape(-1))
+    agent.follow_rewards(data.reshape(-1))
     assert float(agent.reward_scale) == scale  # nothing has grown
     data["next", "reward"] *= 20
-    agent.follow(data.reshape(-1))
+    agent.follow_rewards(data.reshape(-1))
     agent.update(data)
     assert float(agent.reward_scale) == pytest.approx(scale / 20)
     torch.testing.assert_close(_values(agent, data) * 20, values)
-    agent.follow(batches(64).reshape(-1))  # the largest rewards count
+    agent.follow_rewards(batches(64).reshape(-1))  # the largest rewards count
     assert float(agent.reward_scale) == pytest.approx(scale / 20)
 
 
@@ -62,8 +62,8 @@ def test_a_successor_of_a_run_with_sums_of_rewards_keeps_the_scale(make):
     agent.calibrate(data.reshape(-1))
     heir.start_from(agent)
     scale = float(agent.reward_scale)
-    agent.follow(data.reshape(-1))
-    heir.follow(data.reshape(-1))
+    agent.follow_rewards(data.reshape(-1))
+    heir.follow_rewards(data.reshape(-1))
     assert float(agent.reward_scale) == float(heir.reward_scale) == scale
 
 
@@ -83,7 +83,7 @@ def test_a_scale_that_was_given_stays():
     data = batches(4)
     agent.calibrate(data.reshape(-1))
     data["next", "reward"] *= 1000
-    agent.follow(data.reshape(-1))
+    agent.follow_rewards(data.reshape(-1))
     assert float(agent.reward_scale) == 2.0
 
 
@@ -108,7 +108,7 @@ def test_rewards_of_zero_say_nothing():
     agent.calibrate(data)
     scale = float(agent.reward_scale)
     assert scale > 1
-    agent.follow(without_rewards())
+    agent.follow_rewards(without_rewards())
     assert float(agent.reward_scale) == scale
 
 
@@ -122,7 +122,7 @@ def test_the_first_reward_decides_however_late_it_comes(size):
     for learner in (agent, again):  # after a resumption too
         data = batches(64).reshape(-1)
         data["next", "reward"] *= size
-        learner.follow(data)
+        learner.follow_rewards(data)
         expected = reward_factor(data["next", "reward"].flatten(), learner.gamma)
         assert float(learner.reward_scale) == pytest.approx(expected)
 
@@ -133,7 +133,7 @@ def test_a_critic_of_one_layer_is_scaled_too():
     agent.calibrate(data.reshape(-1))
     values = _values(agent, data)
     data["next", "reward"] *= 20
-    agent.follow(data.reshape(-1))
+    agent.follow_rewards(data.reshape(-1))
     torch.testing.assert_close(_values(agent, data) * 20, values)
 
 
