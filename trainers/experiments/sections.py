@@ -39,7 +39,7 @@ def add_experiment(
     if experiment.figure == "tasks":
         page.table(HEADER, [standing_row(outcome) for outcome in finding.outcomes])
         page.text(READING)
-    page.image(figure, experiment.heading)
+    page.image(figure, f"Experiment `{experiment.name}`")
     if experiment.figure == "front":
         page.table(*front_rows(experiment, finding))
     elif experiment.figure not in ("spread", "tasks"):

@@ -221,7 +221,7 @@ def test_the_results_are_a_page_for_a_repository(outcome, tmp_path):
         "| 6a. Misaligned: about 15 of 20, by the controller about 2 | 15 of 20, controller 2",
         "| 6b. Aligned: 20 of 20, and so by the controller |",
         "## Table (P)",
-        "![Curves (P)](figures/success-real.png)",
+        "![Experiment `success-real`](figures/success-real.png)",
         "| misaligned | residual RL | 20/20/20 of 20 [",
         "Seeds of every arm: 3.",
         "`rrl reproduce table scale=quick`",

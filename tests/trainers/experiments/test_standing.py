@@ -115,6 +115,6 @@ def test_the_command_writes_page_figure_and_table(project, run):
         assert arm in said
         assert arm in report.read_text()
     assert page.startswith("# Points\n")
-    assert "![Points](figures/points.png)" in page
+    assert "![Experiment `points`](figures/points.png)" in page
     assert "numpy" in page
     assert (report.parent / "figures/points.png").stat().st_size > 5000
