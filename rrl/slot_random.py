@@ -11,12 +11,11 @@ import torch
 from torch import Tensor
 from torchrl.envs import EnvBase, SerialEnv, TransformedEnv
 
-from rrl.checks import check, check_whole
+from rrl.checks import check_whole
 
 __all__ = ["Seeded", "SlotGenerators", "seed_env"]
 
 _MAX_DRAWN_SEED = 2**31
-_MAX_INTEGER = 2**24
 
 
 class SlotGenerators:
@@ -48,6 +47,11 @@ class SlotGenerators:
         self._seed = _check_seed(seed)
         self._generators = None
 
+    def renew(self) -> None:
+        """Start anew from torch's generator, unless a seed was given."""
+        if self._seed is None:
+            self._generators = None
+
     def resize(self, num_slots: int) -> None:
         """Change the number of slots; all start anew from the seed."""
         if num_slots != self.num_slots:
@@ -70,19 +74,6 @@ class SlotGenerators:
     def uniform(self, shape: Sequence[int], mask: Tensor | None = None) -> Tensor:
         """Draw numbers uniform in [0, 1); see :meth:`normal`."""
         return self._draw(torch.Tensor.uniform_, shape, mask)
-
-    def integers(self, high: int, shape: Sequence[int]) -> Tensor:
-        """Draw integers uniform in [0, high); int64 ``[num_slots, *shape]``.
-
-        Raises:
-            ValueError: If ``high`` is not in [1, 2^24], the integers that float32 holds exactly.
-        """
-        check("high", high, f"a number in [1, {_MAX_INTEGER}]", 1 <= high <= _MAX_INTEGER)
-
-        def fill(row: Tensor, generator: torch.Generator) -> None:
-            row.random_(0, high, generator=generator)
-
-        return self._draw(fill, shape, None).long()
 
     def state_dict(self) -> dict[str, Any]:
         """Return seed and state of every generator, to be continued exactly."""

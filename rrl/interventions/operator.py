@@ -60,19 +60,17 @@ class ScriptedOperator(Seeded, StatefulController):
         self.controller = made
         self.share, self.noise, self.reversed_share = share, noise, reversed_share
         self.steps = None if steps is None else check_whole("steps", steps, 1)
-        self._follows_global_seed = seed is None
         self._generators = SlotGenerators(seed, 1, "ScriptedOperator")
 
     def seed(self, seed: int | None) -> None:
         """Start the random numbers anew from ``seed``."""
-        self._follows_global_seed = seed is None
         self._generators.seed(seed)
 
     def reset_state(self, mask: Tensor | None) -> None:
         """Forget the slots where ``mask`` (bool ``[*batch]``) is True; None: all."""
         super().reset_state(mask)
-        if mask is None and self._follows_global_seed:
-            self._generators.seed(None)
+        if mask is None:
+            self._generators.renew()
 
     def initial_state(self, tensordict: TensorDictBase) -> State:
         """Draw which slots the operator takes over in this episode."""
@@ -118,13 +116,11 @@ class ScriptedOperator(Seeded, StatefulController):
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return state and random numbers for ``state_dict``."""
-        drawn = {"generators": self._generators.state_dict()}
-        return {**super().get_extra_state(), **drawn, "follows": self._follows_global_seed}
+        return {**super().get_extra_state(), "generators": self._generators.state_dict()}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Take state and random numbers from a ``state_dict``."""
         super().set_extra_state(state)
-        self._follows_global_seed = state["follows"]
         self._generators.load_state_dict(state["generators"])
 
     def _uniform(self, batch: torch.Size, mask: Tensor | None) -> Tensor:

@@ -167,7 +167,6 @@ class RandomTransform(Seeded, SlotTransform):
 
     def __init__(self, *, seed: int | None, stream: str, **keys: Sequence[NestedKey]) -> None:
         super().__init__(**keys)
-        self._follows_global_seed = seed is None
         self._generators = SlotGenerators(seed, 1, stream)
 
     def silence(self) -> None:
@@ -183,15 +182,14 @@ class RandomTransform(Seeded, SlotTransform):
 
     def seed(self, seed: int | None) -> None:
         """Start the random numbers anew; see the constructor's ``seed``."""
-        self._follows_global_seed = seed is None
         self._generators.seed(seed)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         batch = tensordict_reset.batch_size
-        if self._follows_global_seed and reset_mask(tensordict, batch) is None:
-            self._generators.seed(None)
+        if reset_mask(tensordict, batch) is None:
+            self._generators.renew()
         self._generators.resize(batch.numel())
         return super()._reset(tensordict, tensordict_reset)
 
@@ -206,14 +204,11 @@ class RandomTransform(Seeded, SlotTransform):
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return memory and generators for ``state_dict``."""
-        state = super().get_extra_state()
-        state["follows_global_seed"] = self._follows_global_seed
-        return state | {"generators": self._generators.state_dict()}
+        return super().get_extra_state() | {"generators": self._generators.state_dict()}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Take memory and generators from a ``state_dict``."""
         super().set_extra_state(state)
-        self._follows_global_seed = state["follows_global_seed"]
         self._generators.load_state_dict(state["generators"])
 
 
