@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # the plant's process reads these names without torch
+    from tensordict import NestedKey
+
 ACTION = "action"
 """What the policy says: the residual, in [-1, 1]."""
 
@@ -57,3 +62,8 @@ INTERVENED = "intervened"
 
 EXCEEDS_AUTHORITY = "exceeds_authority"
 """Whether no residual would have given this transition's command, bool."""
+
+
+def leaf(key: NestedKey) -> str:
+    """Return the last part of a key."""
+    return key if isinstance(key, str) else key[-1]

@@ -14,7 +14,7 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase, ParallelEnv
 
 from rrl.keys import SUCCESS
-from rrl.transforms.safety.truncation import truncate
+from rrl.slot_masks import truncate
 
 __all__ = ["Request", "Requests", "stop_of"]
 

@@ -10,9 +10,9 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 
 from rrl.checks import check, require
-from rrl.keys import SO_FAR
-from rrl.slot_masks import merge
-from rrl.transforms.base import Mask, Memory, SlotTransform, any_done
+from rrl.keys import SO_FAR, leaf
+from rrl.slot_masks import any_done, merge
+from rrl.transforms.base import Mask, Memory, SlotTransform
 
 __all__ = ["REDUCTIONS", "EpisodeValue"]
 

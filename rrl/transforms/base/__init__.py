@@ -2,7 +2,7 @@
 
 from rrl.transforms.base.action import ActionTransform, sibling
 from rrl.transforms.base.action_bounds import ActionLimits, action_leaf, limits_of, share_within
-from rrl.transforms.base.slots import Mask, Memory, RandomTransform, SlotTransform, any_done
+from rrl.transforms.base.slots import Mask, Memory, RandomTransform, SlotTransform
 
 __all__ = [
     "ActionLimits",
@@ -12,7 +12,6 @@ __all__ = [
     "RandomTransform",
     "SlotTransform",
     "action_leaf",
-    "any_done",
     "limits_of",
     "share_within",
     "sibling",

@@ -13,10 +13,11 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec
 from torchrl.envs.transforms import Transform
 
-from rrl.slot_masks import merge, reset_mask, step_mask
+from rrl.checks import missing
+from rrl.slot_masks import any_done, merge, reset_mask, step_mask
 from rrl.slot_random import Seeded, SlotGenerators
 
-__all__ = ["Mask", "Memory", "RandomTransform", "SlotTransform", "any_done"]
+__all__ = ["Mask", "Memory", "RandomTransform", "SlotTransform"]
 
 Mask = Tensor | None
 """Slots, bool ``[*batch]``; None: all of them."""
@@ -210,13 +211,3 @@ class RandomTransform(Seeded, SlotTransform):
         """Take memory and generators from a ``state_dict``."""
         super().set_extra_state(state)
         self._generators.load_state_dict(state["generators"])
-
-
-def any_done(tensordict: TensorDictBase) -> Tensor:
-    """Return which slots end an episode, bool ``[*batch]``."""
-    batch = tensordict.batch_size
-    done = torch.zeros(batch, dtype=torch.bool, device=tensordict.device)
-    for key in tensordict.keys(True, True):
-        if (key if isinstance(key, str) else key[-1]) == "done":
-            done = done | tensordict.get(key).reshape(*batch, -1).any(-1)
-    return done

@@ -8,10 +8,9 @@ from torch import Tensor
 
 from rrl.checks import check, require
 from rrl.keys import ACTION, BASE_ACTION
-from rrl.slot_masks import step_mask
+from rrl.slot_masks import shaped_like, step_mask, truncate
 from rrl.transforms.base import ActionLimits, sibling
 from rrl.transforms.safety.base import SafetyLimit, finite
-from rrl.transforms.safety.truncation import truncate
 
 __all__ = ["FiniteAction"]
 

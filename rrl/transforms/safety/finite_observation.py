@@ -12,9 +12,8 @@ from torchrl.data import Binary, Composite
 
 from rrl.checks import check_whole, require
 from rrl.keys import REWARD, SAFETY
-from rrl.slot_masks import merge
-from rrl.transforms.base import Mask, Memory, SlotTransform, any_done
-from rrl.transforms.safety.truncation import truncate
+from rrl.slot_masks import any_done, merge, truncate
+from rrl.transforms.base import Mask, Memory, SlotTransform
 
 __all__ = ["FiniteObservation"]
 
