@@ -42,14 +42,17 @@ class EpisodeValue(SlotTransform):
             slot.
 
     Raises:
-        ValueError: If a reduction is unknown, or an observation is not one number a slot.
+        ValueError: If a reduction is unknown, two names are the same, or an observation is not one
+            number a slot.
         KeyError: If an observation is missing.
         RuntimeError: If it is called outside an environment, where there is no order in time.
     """
 
     def __init__(self, reductions: Mapping[NestedKey, str]) -> None:
         keys = [unravel_key(key) for key in reductions]
-        names = [key if isinstance(key, str) else key[-1] for key in keys]
+        names = [leaf(key) for key in keys]
+        different = len(set(names)) == len(names)
+        check("reductions", keys, "keys whose last parts differ, which name the results", different)
         super().__init__(in_keys=keys, out_keys=[(SO_FAR, name) for name in names])
         self.reductions = dict(zip(names, reductions.values(), strict=True))
         for name, reduction in self.reductions.items():

@@ -24,6 +24,7 @@ from rrl.keys import SO_FAR
 from rrl.transforms import (
     ActionHistory,
     ControlNoise,
+    EpisodeValue,
     FiniteAction,
     ForceLimit,
     ObservationLatency,
@@ -231,3 +232,8 @@ def test_one_name_instead_of_a_list() -> None:
 
     assert Reads("goal").in_keys == ["goal"]
     assert Reads([("a", ("b", "c"))]).in_keys == [("a", "b", "c")]
+def test_values_of_two_entries_of_the_same_name_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"reductions: expected keys whose last parts differ"):
+        EpisodeValue({("left", "force"): "max", ("right", "force"): "sum"})
+
+
