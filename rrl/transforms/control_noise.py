@@ -65,11 +65,13 @@ class ControlNoise(ActionTransform, RandomTransform):
         executed_action_key: NestedKey | None = None,
         action_key: NestedKey = ACTION,
     ) -> None:
-        executed_key = unravel_key(executed_action_key or sibling(action_key, EXECUTED_ACTION))
+        usual_key = sibling(action_key, EXECUTED_ACTION)
+        executed_key = unravel_key(executed_action_key or usual_key)
+        beside = "" if executed_key == usual_key else f"/{executed_key}"
         super().__init__(
             action_key=action_key,
             seed=seed,
-            stream=f"ControlNoise/{unravel_key(action_key)}",
+            stream=f"ControlNoise/{unravel_key(action_key)}{beside}",
             out_keys=[executed_key],
         )
         self._executed_key = executed_key

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import torch
 from tensordict import NestedKey, TensorDictBase
-from torchrl.data import Composite
 
-from rrl.checks import check, check_whole, require
+from rrl.checks import check_share, check_whole
 from rrl.slot_masks import merge
 from rrl.transforms.base import Mask, Memory
 from rrl.transforms.sensing.fault import SensingFault
@@ -68,17 +67,9 @@ class ObservationDropout(SensingFault):
         begins = (draw < self.probability).reshape(batch).to(self.recall(_LEFT).device)
         left = torch.where(self.recall(_LEFT) > 0, self.memory[_LEFT], begins * self.steps)
         lost = left > 0
-        held = {name: self.memory[name] for name in self._read(next_td)}
-        return merge(lost, held, self._read(next_td)) | {_LEFT: (left - 1).clamp_min(0)}
-
-    def _read(self, td: TensorDictBase) -> Memory:
-        return {str(number): require(self, td, key) for number, key in enumerate(self.in_keys)}
+        seen = self._read(next_td)
+        held = {name: self.memory[name] for name in seen}
+        return merge(lost, held, seen) | {_LEFT: (left - 1).clamp_min(0)}
 
     def _outputs(self) -> list[torch.Tensor]:
         return [self.memory[str(number)] for number in range(len(self.in_keys))]
-
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Give what is delivered the specs of the originals."""
-        for in_key, out_key in zip(self.in_keys, self.out_keys, strict=True):
-            observation_spec[out_key] = require(self, observation_spec, in_key).clone()
-        return observation_spec

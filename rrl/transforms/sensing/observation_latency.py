@@ -7,9 +7,8 @@ from collections.abc import Iterable, Sequence
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
-from torchrl.data import Composite
 
-from rrl.checks import check, check_whole, require
+from rrl.checks import check_share, check_whole
 from rrl.slot_masks import merge
 from rrl.transforms.base import Mask, Memory
 from rrl.transforms.sensing.fault import SensingFault
@@ -66,8 +65,8 @@ class ObservationLatency(SensingFault):
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
         batch = td.batch_size
         memory = {
-            str(number): torch.stack([require(self, td, key)] * (self.steps + 1), len(batch))
-            for number, key in enumerate(self.in_keys)
+            name: torch.stack([value] * (self.steps + 1), len(batch))
+            for name, value in self._read(td).items()
         }
         # Control steps since the reset, int64 (*batch)
         return memory | {_AGE: torch.zeros(batch, dtype=torch.int64, device=td.device)}
@@ -77,12 +76,12 @@ class ObservationLatency(SensingFault):
         memory = {_AGE: self.recall(_AGE) + 1}
         measured = self._measured(memory[_AGE], batch, mask)
         dim = len(batch)
-        for number, key in enumerate(self.in_keys):
-            queue, value = self.memory[str(number)], require(self, next_td, key)
+        for name, value in self._read(next_td).items():
+            queue = self.memory[name]
             if measured is not None:
                 value = merge(measured, value, queue.select(dim, -1))
             late = queue.narrow(dim, 1, self.steps)
-            memory[str(number)] = torch.cat([late, value.unsqueeze(dim)], dim)
+            memory[name] = torch.cat([late, value.unsqueeze(dim)], dim)
         return memory
 
     def _measured(self, age: Tensor, batch: torch.Size, stepped: Tensor | None) -> Tensor | None:
@@ -99,9 +98,3 @@ class ObservationLatency(SensingFault):
     def _outputs(self) -> Iterable[Tensor]:
         dim = self.memory[_AGE].ndim
         return [self.memory[str(number)].select(dim, 0) for number in range(len(self.in_keys))]
-
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Give the delayed observations the specs of the originals."""
-        for in_key, out_key in zip(self.in_keys, self.out_keys, strict=True):
-            observation_spec[out_key] = require(self, observation_spec, in_key).clone()
-        return observation_spec

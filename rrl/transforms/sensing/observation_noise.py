@@ -62,10 +62,10 @@ class ObservationNoise(SensingFault):
         self._set(0.0, 0.0)
 
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
-        return self._observe(td, mask)
+        return self._observe(td, td.batch_size, mask)
 
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
-        return self._observe(next_td, mask)
+        return self._observe(next_td, next_td.batch_size, mask)
 
     def resets_itself(self) -> bool:
         """Return False: the first observation of an episode is as noisy as the others."""
@@ -73,25 +73,22 @@ class ObservationNoise(SensingFault):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Add noise outside an environment; in a replay buffer it is drawn anew for each sample."""
-        for key, value in zip(self.out_keys, self._observe(tensordict, None).values(), strict=True):
+        # One slot draws for all samples: batches of another size would start its numbers anew.
+        disturbed = self._observe(tensordict, torch.Size(), None)
+        for key, value in zip(self.out_keys, disturbed.values(), strict=True):
             tensordict.set(key, value)
         return tensordict
 
-    def _observe(self, tensordict: TensorDictBase, mask: Mask) -> Memory:
-        return {
-            str(number): self._disturb(key, require(self, tensordict, key), tensordict, mask)
-            for number, key in enumerate(self.in_keys)
-        }
+    def _observe(self, tensordict: TensorDictBase, slots: torch.Size, mask: Mask) -> Memory:
+        seen = self._read(tensordict)
+        for key, value in zip(self.in_keys, seen.values(), strict=True):
+            self._check_lengths(key, value.shape[tensordict.batch_dims :])
+        return {name: self._disturb(value, slots, mask) for name, value in seen.items()}
 
-    def _disturb(
-        self, key: NestedKey, value: Tensor, tensordict: TensorDictBase, mask: Mask
-    ) -> Tensor:
-        batch = tensordict.batch_size
-        shape = value.shape[len(batch) :]
-        self._check_lengths(key, shape)
+    def _disturb(self, value: Tensor, slots: torch.Size, mask: Mask) -> Tensor:
         disturbed = value + self.bias.to(value)
         if self._noisy:
-            noise = self.draw_normal(batch, shape, mask).to(value)
+            noise = self.draw_normal(slots, value.shape[len(slots) :], mask).to(value)
             # Separate product and sums: fused ones round differently in different places of a
             # batch.
             disturbed = disturbed + noise * self.sigma.to(value)

@@ -98,6 +98,13 @@ def test_nested_action() -> None:
         ControlNoise(sigma=0.1, seed=0, action_key=("arm", "action")),
     )
     check_env_specs(env)
+def test_two_in_a_row_draw_different_numbers() -> None:
+    two = [ControlNoise(sigma=0.1, seed=0, executed_action_key=name) for name in ("a", "b")]
+    records = drive(TransformedEnv(PointMass((8,)), Compose(*two)), torch.zeros(100, 8, 2))
+    sent = torch.stack([record["next", "a"] for record in records[1:]])
+    assert sent.std().item() == pytest.approx(0.1 * 2**0.5, rel=0.05)
+
+
     assert ("arm", "executed_action") in env.reset().keys(True)
 
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
+from torchrl.envs.transforms import Compose
 
 from rrl.transforms import ObservationNoise
 from toy_envs import PointMass
@@ -58,6 +60,26 @@ def test_out_keys_leave_the_original() -> None:
     start = TransformedEnv(PointMass(), noise).reset()
     assert torch.equal(start[POSITION], PointMass().reset()[POSITION])
     assert not torch.equal(start["seen"], start[POSITION])
+
+
+def test_two_sensors_of_the_same_quantity_err_independently() -> None:
+    cameras = [ObservationNoise([POSITION], 1.0, seed=0, out_keys=[name]) for name in ("a", "b")]
+    start = TransformedEnv(PointMass(), Compose(*cameras)).reset()
+    assert not torch.equal(start["a"], start["b"])
+
+
+@pytest.mark.parametrize("keys", [POSITION, (POSITION,)], ids=str)
+def test_the_numbers_do_not_depend_on_how_a_key_is_written(keys) -> None:
+    def seen(keys):
+        return TransformedEnv(PointMass(), ObservationNoise(keys, 0.1, seed=0)).reset()[POSITION]
+
+    assert torch.equal(seen(keys), seen([POSITION]))
+
+
+def test_samples_of_any_number_are_drawn_anew() -> None:
+    noise = ObservationNoise(["x"], 1.0, seed=0)
+    one, _, other = (noise(TensorDict({"x": torch.zeros(n, 2)}, [n]))["x"] for n in (4, 2, 4))
+    assert not torch.isclose(one, other).any()
 
 
 @pytest.mark.parametrize("values", [{"sigma": -1.0}, {"sigma": float("nan")}, {"bias": [[1.0]]}])
