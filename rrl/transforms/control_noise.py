@@ -93,8 +93,7 @@ class ControlNoise(ActionTransform, RandomTransform):
         action = self.action(tensordict)
         if self._active:
             action = self._disturb(action, limits, tensordict)
-        tensordict.set(self._action_key, action)
-        return tensordict.set(self._executed_key, action)
+        return self.give(tensordict, action)
 
     def _disturb(self, action: Tensor, limits: ActionLimits, tensordict: TensorDictBase) -> Tensor:
         bias, deviation = self._scaled or self._scale(limits)
@@ -123,7 +122,7 @@ class ControlNoise(ActionTransform, RandomTransform):
         return {"executed": torch.zeros_like(self.limits().low)}
 
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
-        return {"executed": td.get(self._executed_key)}
+        return {"executed": self.executed(td)}
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the executed action, in the environment's action units."""

@@ -60,6 +60,8 @@ class ResidualAction(ActionTransform):
             ``ReplayBuffer.extend``.
     """
 
+    keeps_units = False
+
     def __init__(
         self,
         controller: TensorDictModuleBase,

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from tensordict import NestedKey, TensorDictBase, unravel_key
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
+from torchrl.envs.transforms import DeviceCastTransform, DTypeCastTransform, Transform
 
 from rrl.checks import require
 from rrl.transforms.base.action_bounds import ActionLimits, action_leaf, limits_of
 from rrl.transforms.base.slots import SlotTransform
 
 __all__ = ["ActionTransform", "sibling"]
+
+_CASTS = (DeviceCastTransform, DTypeCastTransform)
 
 
 class ActionTransform(SlotTransform):
@@ -23,7 +27,11 @@ class ActionTransform(SlotTransform):
         keys: Arguments of the next base class: keys, seeds.
     """
 
+    keeps_units = True
+    """Whether the action leaves in the units in which it comes."""
+
     _limits: ActionLimits | None = None
+    _arrives_in_units = True  # in those of this place, at the environment
 
     def __init__(self, *, action_key: NestedKey, **keys: Any) -> None:
         key = unravel_key(action_key)
@@ -49,12 +57,50 @@ class ActionTransform(SlotTransform):
 
     def _take_limits(self, action_spec: Composite) -> ActionLimits:
         self._limits = limits_of(action_leaf(action_spec, self._action_key))
+        self._arrives_in_units = all(map(self._leaves_units, self._nearer()))
         return self._limits
 
     def action(self, tensordict: TensorDictBase) -> Tensor:
         """Return the action ``[*batch, n_act]`` in the environment's precision."""
         limits = self.limits()
         return require(self, tensordict, self._action_key).to(limits.dtype)
+
+    def give(self, tensordict: TensorDictBase, action: Tensor) -> TensorDictBase:
+        """Hand an action ``[*batch, n_act]`` on towards the environment."""
+        if not self._arrives_in_units:
+            tensordict.set(self._given_key, action)
+        return tensordict.set(self._action_key, action)
+
+    def executed(self, tensordict: TensorDictBase) -> Tensor:
+        """Return the action ``[*batch, n_act]`` that was executed, in the units at this place.
+
+        Where transforms nearer to the environment change the units, that is what :meth:`give` was
+        given.
+
+        Args:
+            tensordict: Input of the environment's step.
+        """
+        if self._arrives_in_units:
+            return self.action(tensordict)
+        return require(self, tensordict, self._given_key)
+
+    @property
+    def _given_key(self) -> NestedKey:
+        return unravel_key(("_given", self.out_keys[0]))
+
+    def _nearer(self) -> Iterator[Transform]:
+        """Yield the transforms between this one and the environment."""
+        for module in () if self.container is None else self.container.transform.modules():
+            if module is self:
+                return
+            if isinstance(module, Transform):
+                yield module
+
+    def _leaves_units(self, transform: Transform) -> bool:
+        keys = (*(transform.in_keys_inv or ()), *(transform.out_keys_inv or ()))
+        if self._action_key not in keys or isinstance(transform, _CASTS):
+            return True
+        return isinstance(transform, ActionTransform) and transform.keeps_units
 
     def action_like(self, size: int | None = None) -> Unbounded:
         """Return the spec of an observation of the action's shape, or with ``size`` numbers."""

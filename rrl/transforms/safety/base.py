@@ -10,8 +10,8 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Composite
 
-from rrl.checks import require
-from rrl.keys import EXECUTED_ACTION, SAFETY
+from rrl.checks import missing, require
+from rrl.keys import SAFETY
 from rrl.transforms.base import ActionLimits, ActionTransform, Mask, Memory, sibling
 
 __all__ = ["SafetyLimit"]
@@ -28,7 +28,7 @@ class SafetyLimit(ActionTransform):
     measurement is taken at the transform's place in the list, before sensing faults and
     normalisation.
 
-    policy -> env: reads and writes ``action_key``; corrects "executed_action" where it is recorded.
+    policy -> env: reads and writes ``action_key``.
     env -> policy: reads ``in_keys``, writes ("safety", name), bool ``[*batch, 1]``: whether this
     step's action violated the limit and was changed. False at a reset.
 
@@ -40,7 +40,6 @@ class SafetyLimit(ActionTransform):
 
     def __init__(self, name: str, in_keys: list[NestedKey], action_key: NestedKey) -> None:
         self._flag_key = sibling(action_key, (SAFETY, name))
-        self._executed_key = sibling(action_key, EXECUTED_ACTION)
         super().__init__(action_key=action_key, in_keys=in_keys, out_keys=[self._flag_key])
 
     @abstractmethod
@@ -49,7 +48,7 @@ class SafetyLimit(ActionTransform):
 
         Args:
             tensordict: Observations at the transform's place.
-            action: The action that led to them, ``[*batch, n_act]``; zeros at a reset.
+            action: The executed action that led to them, ``[*batch, n_act]``; zeros at a reset.
         """
 
     @abstractmethod
@@ -78,9 +77,7 @@ class SafetyLimit(ActionTransform):
         safe = torch.where(known, safe, self.hold(tensordict, measured).to(limits.dtype))
         safe = torch.clamp(safe, limits.low, limits.high)
         tensordict.set(self._flag_key, self.changed(action, safe))
-        if tensordict.get(self._executed_key, None) is not None:
-            tensordict.set(self._executed_key, safe)
-        return tensordict.set(self._action_key, safe)
+        return self.give(tensordict, safe)
 
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
         action = torch.zeros_like(self.limits().low)
@@ -89,7 +86,7 @@ class SafetyLimit(ActionTransform):
 
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
         # A copy: an environment may change its own tensors in place.
-        measured = self.measure(next_td, self.action(td)).clone()
+        measured = self.measure(next_td, self.executed(td)).clone()
         return {"measured": measured, "flag": td.get(self._flag_key)}
 
     def _outputs(self) -> Iterable[Tensor]:

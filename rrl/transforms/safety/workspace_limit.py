@@ -98,7 +98,7 @@ class WorkspaceLimit(SafetyLimit):
 
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
         memory = super()._advance(td, next_td, mask)
-        executed = torch.cat([self.recall(_SINCE), self.action(td).unsqueeze(-2)], -2)
+        executed = torch.cat([self.recall(_SINCE), self.executed(td).unsqueeze(-2)], -2)
         return memory | {_SINCE: executed.narrow(-2, 1, self.delay)}
 
     def check_sizes(self, sizes: dict[NestedKey, int], action_size: int) -> None:

@@ -9,7 +9,7 @@ from torchrl.envs import TransformedEnv, check_env_specs
 from torchrl.envs.transforms import Compose
 
 from rrl.controllers import ReplayController
-from rrl.transforms import ControlNoise, ResidualAction
+from rrl.transforms import ControlNoise, ResidualAction, StepLimit
 from toy_envs import PointMass
 from transform_cases import drive, random_actions
 
@@ -70,6 +70,12 @@ def test_sum_first_then_noise_then_clip() -> None:
     assert torch.allclose(records[1]["action"], torch.tensor([0.5, 0.25]))
 
 
+def test_a_record_of_any_name_is_what_a_safety_limit_has_let_pass() -> None:
+    chain = Compose(StepLimit(size=0.2), ControlNoise(executed_action_key="sent"))
+    record = drive(TransformedEnv(PointMass(), chain), torch.ones(1, 2))[1]
+    assert torch.equal(record["next", "sent"], torch.full((2,), 0.2))
+
+
 def test_record_is_zero_at_reset_by_mask() -> None:
     env = TransformedEnv(PointMass([2]), ControlNoise(sigma=0.1, seed=0))
     resets = torch.tensor([[[False], [True]]])
@@ -92,12 +98,6 @@ def test_same_seed_as_observation_noise_is_not_the_same_noise() -> None:
     assert not torch.allclose(control, seen - env.base_env._position, atol=1e-3)
 
 
-def test_nested_action() -> None:
-    env = TransformedEnv(
-        PointMass([2], action_key=("arm", "action")),
-        ControlNoise(sigma=0.1, seed=0, action_key=("arm", "action")),
-    )
-    check_env_specs(env)
 def test_two_in_a_row_draw_different_numbers() -> None:
     two = [ControlNoise(sigma=0.1, seed=0, executed_action_key=name) for name in ("a", "b")]
     records = drive(TransformedEnv(PointMass((8,)), Compose(*two)), torch.zeros(100, 8, 2))
@@ -105,6 +105,12 @@ def test_two_in_a_row_draw_different_numbers() -> None:
     assert sent.std().item() == pytest.approx(0.1 * 2**0.5, rel=0.05)
 
 
+def test_nested_action() -> None:
+    env = TransformedEnv(
+        PointMass([2], action_key=("arm", "action")),
+        ControlNoise(sigma=0.1, seed=0, action_key=("arm", "action")),
+    )
+    check_env_specs(env)
     assert ("arm", "executed_action") in env.reset().keys(True)
 
 

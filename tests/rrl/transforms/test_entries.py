@@ -9,7 +9,7 @@ from tensordict.nn import TensorDictModule
 from torch import nn
 from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase, RenameTransform, TransformedEnv, check_env_specs
-from torchrl.envs.transforms import Compose
+from torchrl.envs.transforms import Compose, DoubleToFloat
 
 from rrl.controllers import (
     Controller,
@@ -200,6 +200,14 @@ def test_a_controller_that_reads_numbers_without_a_dimension(batch) -> None:
         ProportionalController("force", "force", gain=[1.0, 1.0]).act(Scalar((), force=()).reset())
 
 
+def test_a_cast_hides_nothing_of_what_a_limit_nearer_to_the_environment_has_changed() -> None:
+    limits = StepLimit(size=0.2), FiniteAction(truncate=False)
+    env = TransformedEnv(Precise([1]), Compose(DoubleToFloat(), *limits, ControlNoise()))
+    actions = torch.tensor([[[1.0, 1.0]], [[torch.nan, 0.0]]])
+    for record in drive(env, actions)[1:]:
+        torch.testing.assert_close(record["next", "executed_action"], torch.full((1, 2), 0.2))
+
+
 @pytest.mark.parametrize("name", ["arm/position", ("arm", "position"), ("arm/left", "pos/x")])
 def test_slashes_and_nested_names(name) -> None:
     """Names of ROS topics, of dm_control's composer, and of nested observations."""
@@ -224,6 +232,11 @@ def test_slashes_and_nested_names(name) -> None:
     assert all(torch.equal(one, other) for one, other in zip(plain, named, strict=True))
 
 
+def test_values_of_two_entries_of_the_same_name_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"reductions: expected keys whose last parts differ"):
+        EpisodeValue({("left", "force"): "max", ("right", "force"): "sum"})
+
+
 def test_one_name_instead_of_a_list() -> None:
     class Reads(ZeroController):
         def __init__(self, in_keys) -> None:
@@ -232,8 +245,3 @@ def test_one_name_instead_of_a_list() -> None:
 
     assert Reads("goal").in_keys == ["goal"]
     assert Reads([("a", ("b", "c"))]).in_keys == [("a", "b", "c")]
-def test_values_of_two_entries_of_the_same_name_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"reductions: expected keys whose last parts differ"):
-        EpisodeValue({("left", "force"): "max", ("right", "force"): "sum"})
-
-

@@ -9,12 +9,19 @@ import torch
 from tensordict import TensorDict
 from torchrl.data import Bounded
 from torchrl.envs import TransformedEnv
-from torchrl.envs.transforms import Compose, DTypeCastTransform
+from torchrl.envs.transforms import (
+    ActionScaling,
+    Compose,
+    DTypeCastTransform,
+    RenameTransform,
+)
 from torchrl.envs.utils import step_mdp
 
+from rrl.controllers import ZeroController
 from rrl.envs import InsertionEnv
 from rrl.transforms import (
     ControlNoise,
+    FiniteAction,
     ForceLimit,
     ObservationLatency,
     ResidualAction,
@@ -88,6 +95,27 @@ def test_size_and_change_of_what_is_executed() -> None:
     assert executed.abs().max() == pytest.approx(0.5)
     assert changes.abs().max() == pytest.approx(0.2)
     assert records[0]["safety", "step"].any().item() is False
+
+
+@pytest.mark.parametrize(
+    ("nearer", "point"),
+    [
+        (partial(ActionScaling, loc=0.0, scale=10.0), {"bound": 10.0}),
+        (lambda: ResidualAction(ZeroController(), scale=0.5), {}),
+        (lambda: RenameTransform([], [], ["joint"], ["action"]), {"action_key": "joint"}),
+    ],
+    ids=["scaled", "residual", "renamed"],
+)
+def test_the_last_action_has_the_units_of_its_place(nearer, point) -> None:
+    """The last command is not a number, and what was given before is held."""
+    limits = WorkspaceLimit(-9.0, 9.0, delay=1), StepLimit(change=0.1), FiniteAction()
+    chain = Compose(nearer(), *limits, ControlNoise(executed_action_key="sent"))
+    env = TransformedEnv(PointMass((1,), drift=0.0, **point), chain)
+    actions = torch.ones(5, 1, 2)
+    actions[-1] = torch.nan
+    moved = torch.stack([td["next", POSITION] - td[POSITION] for td in drive(env, actions)[1:]])
+    moved = moved[:, 0, 0]
+    torch.testing.assert_close(moved / moved[0], torch.tensor([1.0, 2.0, 3.0, 4.0, 5.0]))
 
 
 def test_workspace_first_keeps_the_box_under_the_other_limits() -> None:
