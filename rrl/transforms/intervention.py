@@ -93,16 +93,20 @@ class Intervention(ActionTransform):
         """Return the transform that an operator overrules.
 
         Raises:
-            RuntimeError: If none stands behind this transform in the environment's list.
+            RuntimeError: If none of the same action stands behind it in the environment's list.
         """
         behind = False
         for transform in () if self.container is None else self.container.transform.modules():
-            if behind and isinstance(transform, ResidualAction):
+            if (
+                behind
+                and isinstance(transform, ResidualAction)
+                and self._action_key in transform.in_keys_inv
+            ):
                 return transform
             behind = behind or transform is self
         raise RuntimeError(
-            "Intervention: expected a ResidualAction behind it in the same list, got none; "
-            "Compose(Intervention(...), ResidualAction(...))"
+            f"Intervention: expected a ResidualAction of {self._action_key!r} behind it in the "
+            "same list, got none; Compose(Intervention(...), ResidualAction(...))"
         )
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:

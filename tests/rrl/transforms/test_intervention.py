@@ -185,11 +185,19 @@ def test_an_operator_who_writes_too_little_is_told() -> None:
 
 def test_it_stands_in_front_of_a_residual_of_an_environment_that_is_reset_from_outside() -> None:
     chain = Compose(ResidualAction(proportional()), by_hand([0.0, 0.0], [False]))
-    with pytest.raises(RuntimeError, match="expected a ResidualAction behind it"):
+    with pytest.raises(RuntimeError, match="expected a ResidualAction of 'action' behind it"):
         TransformedEnv(PointMass((1,)), chain).reset()
     chain = Compose(by_hand([0.0, 0.0], [False]), ResidualAction(proportional()))
     with pytest.raises(RuntimeError, match="reset from outside, got one that resets itself"):
         TransformedEnv(ResetsItself((1,)), chain).reset()
+
+
+def test_of_two_arms_it_overrules_its_own() -> None:
+    left, right = ("left", "action"), ("right", "action")
+    arms = [ResidualAction(ZeroController(2), action_key=key) for key in (right, left)]
+    intervention = Intervention(ScriptedOperator(ZeroController), FREE, action_key=left)
+    env = TransformedEnv(PointMass(action_key=left), Compose(intervention, *arms))
+    assert env.transform[0].residual_action() is env.transform[2]
 
 
 @pytest.mark.parametrize(
