@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import torch
@@ -69,6 +70,14 @@ class Controller(TensorDictModuleBase):
     def restore(self, snapshot: list[Any], mask: Tensor) -> None:
         """Put a snapshot back in the slots where ``mask`` (bool ``[*batch]``) is True."""
         for module, memory in zip(self._stateful(), snapshot, strict=True):
+    @contextmanager
+    def only(self, mask: Tensor | None) -> Iterator[None]:
+        """Change the memory where ``mask`` (bool ``[*batch]``) is True alone; None: everywhere."""
+        before = [] if mask is None else self.snapshot()
+        yield
+        if mask is not None:
+            self.restore(before, ~mask)
+
             module.put_back(memory, mask)
 
     def _stateful(self) -> list[StatefulController]:

@@ -173,10 +173,8 @@ class Intervention(ActionTransform):
     def _ask(self, tensordict: TensorDictBase, mask: Mask) -> Memory:
         """Return whether the operator has taken over, and what it commands."""
         operator, limits = self.operator, self.limits()
-        before = [] if mask is None else operator.snapshot()
-        said = operator(tensordict.copy())
-        if mask is not None:
-            operator.restore(before, ~mask)
+        with operator.only(mask):
+            said = operator(tensordict.copy())
         action = require(operator, said, OPERATOR_ACTION).to(limits.dtype)
         engaged = require(operator, said, TAKEN_OVER).bool()
         expected = {OPERATOR_ACTION: limits.shape, TAKEN_OVER: (*limits.shape[:-1], 1)}

@@ -111,11 +111,8 @@ class ResidualAction(ActionTransform):
 
     def _base_action(self, tensordict: TensorDictBase, mask: Mask) -> Memory:
         controller, limits = self.controller, self._limits
-        # Slots in the middle of an episode keep their controller's state.
-        before = None if mask is None else controller.snapshot()
-        action = controller.act(tensordict)
-        if mask is not None:
-            controller.restore(before, ~mask)
+        with controller.only(mask):
+            action = controller.act(tensordict)
         if limits is None:
             return {"base_action": action}
         if action.shape != limits.shape:
