@@ -97,7 +97,9 @@ class SlotGenerators:
             seeds = (_stream_seed(first + slot, self.stream) for slot in range(self.num_slots))
             self._generators = [torch.Generator().manual_seed(seed) for seed in seeds]
         out = torch.zeros((self.num_slots, *shape), dtype=torch.float32)
-        slots = range(self.num_slots) if mask is None else mask.flatten().nonzero().flatten()
+        slots: Sequence[int] = range(self.num_slots)
+        if mask is not None:
+            slots = mask.flatten().nonzero().flatten().tolist()
         for slot in slots:
             fill(out[slot], generator=self._generators[slot])
         return out

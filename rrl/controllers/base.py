@@ -55,8 +55,14 @@ class Controller(TensorDictModuleBase):
         """Return an entry, or raise a KeyError that says what there is instead."""
         return require(self, tensordict, key)
 
-    def fit(self, action_size: int) -> None:
-        """Learn the size n_act of the environment's action before the first call."""
+    def fit(self, shape: torch.Size) -> None:
+        """Learn the shape ``[n_act]`` of a slot's action before the first call.
+
+        Of several agents it is ``[n, n_act]``.
+        """
+        for module in self.modules():
+            if isinstance(module, Controller) and module is not self:
+                module.fit(shape)
 
     def reset(self, mask: Tensor | None = None) -> None:
         """Start a new episode where ``mask`` (bool ``[*batch]``) is True; None: in all slots."""

@@ -81,12 +81,12 @@ class FunctionController(StatefulController):
             for i, function in enumerate(self._functions(batch))
         ]
         action = torch.stack(rows)
-        if action.ndim != 2:
+        if action.ndim < 2:
             raise ValueError(
                 f"{_name(self._function)}: expected an action of shape [n_act], "
                 f"got {tuple(action.shape[1:])}"
             )
-        return action.reshape(*batch, -1)
+        return action.reshape(batch + action.shape[1:])
 
     def reset_state(self, mask: Tensor | None) -> None:
         """Have the slots where ``mask`` is True reset before they act next; None: all."""

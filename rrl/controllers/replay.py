@@ -19,13 +19,14 @@ class ReplayController(StatefulController):
     """A sequence of actions played open loop, from its start in every episode.
 
     Args:
-        actions: ``[T, n_act]``; the first is given with the observation of the reset.
+        actions: ``[T, n_act]``, of several agents ``[T, n, n_act]``; the first is given with the
+            observation of the reset.
         after_end: What follows the last action: "hold" repeats it, "zero" gives zeros.
         out_key: Where the action ``[*batch, n_act]`` goes.
 
     Raises:
-        ValueError: If the sequence is empty, not two-dimensional or not finite, or ``after_end`` is
-            unknown.
+        ValueError: If the sequence is empty, has no dimension of time or is not finite, or
+            ``after_end`` is unknown.
     """
 
     def __init__(
@@ -38,7 +39,7 @@ class ReplayController(StatefulController):
         sequence = torch.as_tensor(actions).detach().clone()
         if not sequence.is_floating_point():
             sequence = sequence.to(torch.get_default_dtype())
-        is_sequence = sequence.ndim == 2 and sequence.numel() > 0
+        is_sequence = sequence.ndim >= 2 and sequence.numel() > 0
         check("actions", list(sequence.shape), "the shape [T, n_act], none of them 0", is_sequence)
         check("actions", "NaN or infinity", "finite numbers", bool(sequence.isfinite().all()))
         check("after_end", after_end, "'hold' or 'zero'", after_end in ("hold", "zero"))

@@ -28,18 +28,17 @@ class ZeroController(Controller):
 
     def __init__(self, action_size: int | None = None, out_key: NestedKey = BASE_ACTION) -> None:
         super().__init__([], out_key)
-        self.action_size = (
-            None if action_size is None else check_whole("action_size", action_size, 1)
-        )
+        given = () if action_size is None else (check_whole("action_size", action_size, 1),)
+        self._shape = torch.Size(given)
 
-    def fit(self, action_size: int) -> None:
-        """Take the environment's action size, unless one was given."""
-        self.action_size = self.action_size or action_size
+    def fit(self, shape: torch.Size) -> None:
+        """Take the shape of the environment's action, unless a size was given."""
+        self._shape = self._shape or shape
 
     def act(self, tensordict: TensorDictBase) -> Tensor:
         """Return zeros ``[*batch, n_act]``."""
-        if self.action_size is None:
+        if not self._shape:
             raise RuntimeError(
                 "action_size: expected a number or an environment to take it from, got neither"
             )
-        return torch.zeros((*tensordict.batch_size, self.action_size), device=tensordict.device)
+        return torch.zeros(tensordict.batch_size + self._shape, device=tensordict.device)

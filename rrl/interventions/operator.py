@@ -12,6 +12,7 @@ from torch import Tensor
 from rrl.checks import check, check_whole
 from rrl.controllers.base import Controller, State, StatefulController
 from rrl.keys import OPERATOR_ACTION, TAKEN_OVER
+from rrl.slot_masks import shaped_like
 from rrl.slot_random import Seeded, SlotGenerators
 
 __all__ = ["ScriptedOperator"]
@@ -76,7 +77,7 @@ class ScriptedOperator(Seeded, StatefulController):
         """Draw which slots the operator takes over in this episode."""
         batch = tensordict.batch_size
         known = self.state is not None and self._fresh is not None and self._fresh.shape == batch
-        draw = self._uniform(batch, self._fresh if known else None)
+        draw = self._uniform(tensordict, self._fresh if known else None)
         return {"takes_over": draw < self.share, "step": torch.zeros_like(draw, dtype=torch.int64)}
 
     def act(self, tensordict: TensorDictBase) -> Tensor:
@@ -91,14 +92,15 @@ class ScriptedOperator(Seeded, StatefulController):
             taken_over = taken_over & (state["step"] < self.steps)
         self.state = {**state, "step": state["step"] + 1}
         if self.reversed_share:
-            wrong = self._uniform(tensordict.batch_size, None) < self.reversed_share
-            command = torch.where(wrong.unsqueeze(-1), -command, command)
+            wrong = self._uniform(tensordict, None) < self.reversed_share
+            command = torch.where(shaped_like(command, wrong), -command, command)
         if self.noise:
             shape = command.shape[tensordict.batch_dims :]
             drawn = self._generators.normal(shape).reshape(command.shape)
             command = command + self.noise * drawn.to(command)
         tensordict.set(OPERATOR_ACTION, command)
-        return tensordict.set(TAKEN_OVER, taken_over.unsqueeze(-1))
+        taken_over = shaped_like(command, taken_over).expand(*command.shape[:-1], 1)
+        return tensordict.set(TAKEN_OVER, taken_over)
 
     def memory(self) -> Any:
         """Return what :meth:`put_back` needs, random numbers included."""
@@ -123,7 +125,9 @@ class ScriptedOperator(Seeded, StatefulController):
         super().set_extra_state(state)
         self._generators.load_state_dict(state["generators"])
 
-    def _uniform(self, batch: torch.Size, mask: Tensor | None) -> Tensor:
-        """Draw one number a slot, uniform in [0, 1), ``[*batch]``."""
+    def _uniform(self, tensordict: TensorDictBase, mask: Tensor | None) -> Tensor:
+        """Draw one number a slot, uniform in [0, 1), ``[*batch]``, on the device of the data."""
+        batch = tensordict.batch_size
         self._generators.resize(batch.numel())
-        return self._generators.uniform((), mask).reshape(batch)
+        drawn = self._generators.uniform((), mask).reshape(batch)
+        return drawn if tensordict.device is None else drawn.to(tensordict.device)

@@ -15,7 +15,7 @@ from torchrl.data import Binary, Composite
 from rrl.checks import check_length, per_dimension, require
 from rrl.controllers.base import Controller
 from rrl.keys import ACTION, INTERVENTION, OPERATOR_ACTION, TAKEN_OVER
-from rrl.slot_masks import merge, step_mask
+from rrl.slot_masks import merge, shaped_like, step_mask
 from rrl.transforms.base import ActionLimits, ActionTransform, Mask, Memory, share_within, sibling
 from rrl.transforms.residual_action import ResidualAction
 
@@ -185,7 +185,9 @@ class Intervention(ActionTransform):
                 )
         known = action.isfinite().all(-1, keepdim=True)
         lost = engaged & ~known
-        if not self._has_warned and (lost if mask is None else lost & mask.unsqueeze(-1)).any():
+        if mask is not None:
+            lost = lost & shaped_like(lost, mask)
+        if lost.any() and not self._has_warned:
             self._has_warned = True
             log.warning(
                 "%s: NaN or infinity; such a command counts as not taken over", OPERATOR_ACTION
@@ -194,9 +196,7 @@ class Intervention(ActionTransform):
 
     def _take_limits(self, action_spec: Composite) -> ActionLimits:
         limits = super()._take_limits(action_spec)
-        for module in self.operator.modules():
-            if isinstance(module, Controller):
-                module.fit(limits.shape[-1])
+        self.operator.fit(limits.shape[action_spec.ndim :])
         return limits
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

@@ -151,9 +151,7 @@ class ResidualAction(ActionTransform):
     def _take_limits(self, action_spec: Composite) -> ActionLimits:
         self._span = None
         limits = super()._take_limits(action_spec)
-        for module in self.controller.modules():
-            if isinstance(module, Controller):
-                module.fit(limits.shape[-1])
+        self.controller.fit(limits.shape[action_spec.ndim :])
         return limits
 
     def transform_action_spec(self, action_spec: Composite) -> Composite:

@@ -85,5 +85,5 @@ class FiniteAction(SafetyLimit):
         ends = tensordict.get(self._flag_key)
         if self.truncate and not self.resets_itself() and ends.any():
             mask = step_mask(tensordict, next_tensordict.batch_size)
-            truncate(next_tensordict, ends if mask is None else ends & mask.unsqueeze(-1))
+            truncate(next_tensordict, ends if mask is None else ends & shaped_like(ends, mask))
         return next_tensordict

@@ -51,7 +51,7 @@ def test_state_dict_keeps_the_place() -> None:
     assert play(other, 1) == [[2.0]]
 
 
-@pytest.mark.parametrize("actions", [[], [1.0], [[[1.0]]], torch.zeros(3, 0)])
+@pytest.mark.parametrize("actions", [[], [1.0], torch.zeros(3, 0)])
 def test_bad_shape(actions) -> None:
     with pytest.raises(ValueError, match=r"shape \[T, n_act\]"):
         ReplayController(actions)
