@@ -35,7 +35,8 @@ class PolicyController(Controller):
 
     Raises:
         TypeError: If the policy is not a module with ``in_keys`` and ``out_keys``.
-        ValueError: If ``key_map`` names a key that the policy does not read.
+        ValueError: If ``key_map`` names a key that the policy does not read, or the policy has a
+            memory among its entries, as recurrent ones do.
         KeyError: If the policy does not write ``action_key``; when run, if an observation is
             missing.
         FileNotFoundError: If there is no such checkpoint.
@@ -63,6 +64,11 @@ class PolicyController(Controller):
                 f"got {unknown}"
             )
         written = _keys_of(policy, "out_keys")
+        if handed_on := [k for k in self._policy_keys if unravel_key(("next", k)) in written]:
+            raise ValueError(
+                f"policy: expected one that reads observations alone, got one that hands "
+                f"{handed_on} on to its next step, which nothing keeps; write a StatefulController"
+            )
         if unravel_key(action_key) not in written:
             raise KeyError(f"action_key: expected one of {written}, got {action_key!r}")
         super().__init__([names.get(key, key) for key in self._policy_keys], out_key)

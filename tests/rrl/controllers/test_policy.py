@@ -14,7 +14,7 @@ from tensordict.nn import (
 from torch import nn
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
-from torchrl.modules import AdditiveGaussianModule, NormalParamExtractor, TanhNormal
+from torchrl.modules import AdditiveGaussianModule, LSTMModule, NormalParamExtractor, TanhNormal
 
 from rrl.controllers import PolicyController, ProportionalController
 from rrl.transforms import ResidualAction
@@ -134,6 +134,15 @@ def test_what_is_not_a_policy() -> None:
         PolicyController(make_policy(), action_key="torque")
     with pytest.raises(ValueError, match=r"key_map: expected .* got \['blocks'\]"):
         PolicyController(make_policy(), key_map={"blocks": "goal"})
+
+
+def test_a_recurrent_policy_is_refused_because_nothing_would_keep_its_memory() -> None:
+    recurrent = TensorDictSequential(
+        LSTMModule(input_size=2, hidden_size=2, in_key="goal", out_key="seen"),
+        TensorDictModule(nn.Linear(2, 2), in_keys=["seen"], out_keys=["action"]),
+    )
+    with pytest.raises(ValueError, match=r"policy: expected .* observations alone, .*recurrent_s"):
+        PolicyController(recurrent)
 
 
 def test_missing_key_is_named() -> None:
