@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -138,6 +139,15 @@ class FiniteObservation(SlotTransform):
                 "controller or the reward that gives them"
             )
         log.warning("%s: NaN or infinity; the episode ends, and what was known last is kept", names)
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """Return the memory, and what was borne in a row, for ``state_dict``."""
+        return {**super().get_extra_state(), "in_a_row": self._in_a_row}
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Take the memory, and what was borne in a row, from a ``state_dict``."""
+        super().set_extra_state(state)
+        self._in_a_row = state["in_a_row"]
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the flag that says whether the step's numbers were finite."""

@@ -166,3 +166,12 @@ def test_an_environment_that_resets_itself_goes_on():
         assert out["next", "done"].all() == (step % EPISODE_STEPS == 0)
         if out["next", "done"].any():
             assert torch.equal(td["goal"][0], before[0])
+
+
+def test_what_was_borne_is_not_forgotten_with_a_state():
+    env = TransformedEnv(BlindAtReset([1]), FiniteObservation(["goal"], patience=1))
+    env.reset()
+    again = TransformedEnv(BlindAtReset([1]), FiniteObservation(["goal"], patience=1))
+    again.load_state_dict(env.state_dict())
+    with pytest.raises(FloatingPointError, match="in 2 steps"):
+        again.reset()
