@@ -16,7 +16,7 @@ from rrl.checks import require
 from rrl.keys import BASE_ACTION
 from rrl.slot_masks import merge
 
-__all__ = ["Controller", "State", "StatefulController"]
+__all__ = ["Controller", "State", "StatefulController", "clipped"]
 
 State = dict[str, Any]
 """Tensors ``[*batch, ...]`` by name; dictionaries may nest."""
@@ -151,3 +151,11 @@ class StatefulController(Controller):
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Take the state from a ``state_dict``."""
         self.state, self._fresh = state["state"], state["fresh"]
+
+
+def clipped(action: Tensor, limit: Tensor | None) -> Tensor:
+    """Return an action of at most this magnitude; None: as it is."""
+    if limit is None:
+        return action
+    limit = limit.to(action.dtype)
+    return torch.clamp(action, -limit, limit)

@@ -8,8 +8,8 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 
-from rrl.checks import per_dimension
-from rrl.controllers.base import State, StatefulController
+from rrl.checks import check_lengths, per_dimension
+from rrl.controllers.base import State, StatefulController, clipped
 from rrl.controllers.proportional import ProportionalController
 from rrl.keys import BASE_ACTION
 
@@ -80,12 +80,12 @@ class PIDController(ProportionalController, StatefulController):
         total = state["error_sum"] + error
         change = torch.where(state["seen"], error - state["last_error"], 0.0)
         action = error * gain + total * integral_gain + change * derivative_gain
-        clipped = self.clipped(action)
+        executed = clipped(action, self._clip)
         known = error.isfinite()
-        winds_up = (action != clipped) & (action * error * integral_gain > 0)
+        winds_up = (action != executed) & (action * error * integral_gain > 0)
         self.state = {
             "error_sum": torch.where(winds_up | ~known, state["error_sum"], total),
             "last_error": torch.where(known, error, state["last_error"]),
             "seen": state["seen"] | known,
         }
-        return clipped
+        return executed

@@ -8,8 +8,8 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 
-from rrl.checks import check_length, per_dimension
-from rrl.controllers.base import Controller
+from rrl.checks import check_length, check_lengths, per_dimension
+from rrl.controllers.base import Controller, clipped
 from rrl.keys import BASE_ACTION
 
 __all__ = ["ProportionalController"]
@@ -53,7 +53,7 @@ class ProportionalController(Controller):
     def act(self, tensordict: TensorDictBase) -> Tensor:
         """Return the clipped proportional action ``[*batch, n]``."""
         error = self.error(tensordict)
-        return self.clipped(error * self._gain.to(error.dtype))
+        return clipped(error * self._gain.to(error.dtype), self._clip)
 
     def error(self, tensordict: TensorDictBase) -> Tensor:
         """Return x_g - x, ``[*batch, n]`` [m]."""
@@ -68,10 +68,3 @@ class ProportionalController(Controller):
                 name.strip("_"), value, position.shape[-1:].numel(), f"{self.in_keys[0]!r}"
             )
         return goal - position
-
-    def clipped(self, action: Tensor) -> Tensor:
-        """Return ``action`` within the limits of this controller."""
-        if self._clip is None:
-            return action
-        limit = self._clip.to(action.dtype)
-        return torch.clamp(action, -limit, limit)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
 
 from rrl.checks import check, per_dimension
-from rrl.controllers.base import Controller
+from rrl.controllers.base import Controller, clipped
 from rrl.keys import BASE_ACTION
 
 __all__ = ["SumController"]
@@ -65,7 +64,4 @@ class SumController(Controller):
             action = action * getattr(self, f"_weight{number}").to(action.dtype)
             total = action if total is None else total + action
         assert total is not None
-        if self._limit is None:
-            return total
-        limit = self._limit.to(total.dtype)
-        return torch.clamp(total, -limit, limit)
+        return clipped(total, self._limit)
