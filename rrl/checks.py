@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from numbers import Real
 from typing import Any
 
 import torch
@@ -14,7 +15,10 @@ __all__ = [
     "check",
     "check_keys",
     "check_length",
+    "check_lengths",
+    "check_share",
     "check_whole",
+    "missing",
     "per_dimension",
     "require",
 ]
@@ -32,9 +36,21 @@ def check_whole(name: str, value: float, minimum: int) -> int:
     Raises:
         ValueError: If it is not a whole number of at least ``minimum``.
     """
-    fine = minimum <= value < float("inf") and value == int(value)
+    known = isinstance(value, Real) and minimum <= value < float("inf")
+    fine = known and value == int(value)
     check(name, value, f"a whole number of at least {minimum}", fine)
     return int(value)
+
+
+def check_share(name: str, value: float, *, below_one: bool = False) -> float:
+    """Return a share or a probability.
+
+    Raises:
+        ValueError: If it is no number in [0, 1], or [0, 1) with ``below_one``.
+    """
+    fine = isinstance(value, Real) and 0 <= value <= 1 and not (below_one and value == 1)
+    check(name, value, "a number in [0, 1)" if below_one else "a number in [0, 1]", fine)
+    return float(value)
 
 
 def per_dimension(
@@ -71,6 +87,13 @@ def check_length(name: str, value: Tensor, size: int, what: str) -> None:
         )
 
 
+def check_lengths(**values: Tensor) -> None:
+    """Raise a ValueError unless all lists among the values have the same length."""
+    first, *others = [name for name, value in values.items() if value.ndim] or [""]
+    for name in others:
+        check_length(name, values[name], len(values[first]), first)
+
+
 def check_keys(owner: Any, in_keys: Sequence[NestedKey], out_keys: Sequence[NestedKey]) -> None:
     """Raise a ValueError unless there is one out key for each of at least one in key."""
     if not in_keys or len(in_keys) != len(out_keys):
@@ -78,6 +101,14 @@ def check_keys(owner: Any, in_keys: Sequence[NestedKey], out_keys: Sequence[Nest
             f"{type(owner).__name__}: expected at least one in key and one out key for each, got "
             f"{list(in_keys)} and {list(out_keys)}"
         )
+
+
+def missing(owner: Any, method: str) -> NotImplementedError:
+    """Return the error of a class without a method that its base asks for."""
+    return NotImplementedError(
+        f"{type(owner).__name__}: expected a method {method}(), got none; its base class says what "
+        "it returns"
+    )
 
 
 def require(

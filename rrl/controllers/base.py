@@ -12,7 +12,7 @@ from tensordict import NestedKey, TensorDictBase, unravel_key
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from rrl.checks import require
+from rrl.checks import missing, require
 from rrl.keys import BASE_ACTION
 from rrl.slot_masks import merge
 
@@ -46,6 +46,7 @@ class Controller(TensorDictModuleBase):
         Raises:
             KeyError: If an observation key is missing.
         """
+        raise missing(self, "act")
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the action to ``tensordict`` and return it."""
@@ -69,13 +70,6 @@ class Controller(TensorDictModuleBase):
         for module in self._stateful():
             module.reset_state(mask)
 
-    def snapshot(self) -> list[Any]:
-        """Return the state of every stateful controller in here, for :meth:`restore`."""
-        return [module.memory() for module in self._stateful()]
-
-    def restore(self, snapshot: list[Any], mask: Tensor) -> None:
-        """Put a snapshot back in the slots where ``mask`` (bool ``[*batch]``) is True."""
-        for module, memory in zip(self._stateful(), snapshot, strict=True):
     @contextmanager
     def only(self, mask: Tensor | None) -> Iterator[None]:
         """Change the memory where ``mask`` (bool ``[*batch]``) is True alone; None: everywhere."""
@@ -84,6 +78,13 @@ class Controller(TensorDictModuleBase):
         if mask is not None:
             self.restore(before, ~mask)
 
+    def snapshot(self) -> list[Any]:
+        """Return the state of every stateful controller in here, for :meth:`restore`."""
+        return [module.memory() for module in self._stateful()]
+
+    def restore(self, snapshot: list[Any], mask: Tensor) -> None:
+        """Put a snapshot back in the slots where ``mask`` (bool ``[*batch]``) is True."""
+        for module, memory in zip(self._stateful(), snapshot, strict=True):
             module.put_back(memory, mask)
 
     def _stateful(self) -> list[StatefulController]:
@@ -107,6 +108,7 @@ class StatefulController(Controller):
     @abstractmethod
     def initial_state(self, tensordict: TensorDictBase) -> State:
         """Return the state at the start of an episode, tensors ``[*batch, ...]``."""
+        raise missing(self, "initial_state")
 
     def state_for(self, tensordict: TensorDictBase) -> State:
         """Return the state of every slot; the initial one where an episode starts."""

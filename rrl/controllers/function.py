@@ -34,7 +34,7 @@ class FunctionController(StatefulController):
         out_key: Where the action ``[*batch, n_act]`` goes.
 
     Raises:
-        TypeError: If ``function`` cannot be called.
+        TypeError: If ``function`` cannot be called, or has a memory that it does not show.
         ValueError: If ``batched`` is asked for an object with a memory; when run, if what it
             returns is not one action a slot.
     """
@@ -61,6 +61,12 @@ class FunctionController(StatefulController):
             raise ValueError(
                 "batched: expected a function without memory, got an object with reset(), which "
                 "every slot needs a copy of"
+            )
+        keeps_attributes = hasattr(function, "__dict__") or hasattr(function, "state_dict")
+        if self.remembers and not keeps_attributes:
+            raise TypeError(
+                "function: expected an object with attributes or state_dict(), got "
+                f"{_name(function)} with __slots__; give it state_dict() and load_state_dict()"
             )
         self._function, self._batched, self._numpy = function, batched, numpy
         self._slots: list[Any] = []  # copies of the object, one a slot, flattened
@@ -138,9 +144,16 @@ class FunctionController(StatefulController):
 
     def _call(self, function: Any, values: Sequence[Tensor]) -> Tensor:
         # Copies: some functions write into their arguments.
-        given = [value.cpu().numpy().copy() if self._numpy else value.clone() for value in values]
+        given = [_array(value) if self._numpy else value.clone() for value in values]
         action = torch.as_tensor(getattr(function, "act", function)(*given))
         return action.to(values[0].device) if values else action
+
+
+def _array(value: Tensor) -> Any:
+    value = value.detach().cpu()
+    if value.dtype == torch.bfloat16:  # unknown to NumPy
+        value = value.float()
+    return value.numpy().copy()
 
 
 def _name(function: Any) -> str:

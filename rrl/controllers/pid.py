@@ -57,11 +57,17 @@ class PIDController(ProportionalController, StatefulController):
         out_key: NestedKey = BASE_ACTION,
     ) -> None:
         super().__init__(position_key, goal_key, gain, clip, unit, out_key)
-        step = per_dimension("time_step", time_step, positive=True)
-        integral = per_dimension("integral_gain", integral_gain) * step / unit
-        derivative = per_dimension("derivative_gain", derivative_gain) / step / unit
-        self.register_buffer("_integral_gain", integral)
-        self.register_buffer("_derivative_gain", derivative)
+        scale, step = (
+            per_dimension("unit", unit),
+            per_dimension("time_step", time_step, positive=True),
+        )
+        integral = per_dimension("integral_gain", integral_gain)
+        derivative = per_dimension("derivative_gain", derivative_gain)
+        check_lengths(
+            integral_gain=integral, derivative_gain=derivative, time_step=step, unit=scale
+        )
+        self.register_buffer("_integral_gain", integral * step / scale)
+        self.register_buffer("_derivative_gain", derivative / step / scale)
 
     def initial_state(self, tensordict: TensorDictBase) -> State:
         """Return sum of errors, last error (both ``[*batch, n]``) and whether there was one."""

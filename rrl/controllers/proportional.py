@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 
@@ -45,8 +44,9 @@ class ProportionalController(Controller):
         out_key: NestedKey = BASE_ACTION,
     ) -> None:
         super().__init__([position_key, goal_key], out_key)
-        scale = per_dimension("unit", unit, positive=True)
-        self.register_buffer("_gain", per_dimension("gain", gain) / scale)
+        scale, factor = per_dimension("unit", unit, positive=True), per_dimension("gain", gain)
+        check_lengths(gain=factor, unit=scale)
+        self.register_buffer("_gain", factor / scale)
         limit = None if clip is None else per_dimension("clip", clip, positive=True)
         self.register_buffer("_clip", limit)
 

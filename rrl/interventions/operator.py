@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from rrl.checks import check, check_whole
+from rrl.checks import check, check_share, check_whole
 from rrl.controllers.base import Controller, State, StatefulController
 from rrl.keys import OPERATOR_ACTION, TAKEN_OVER
 from rrl.slot_masks import shaped_like
@@ -53,13 +53,12 @@ class ScriptedOperator(Seeded, StatefulController):
         made = controller if isinstance(controller, Controller) else controller()
         if not isinstance(made, Controller):
             raise TypeError(f"controller: expected a Controller, or what makes one, got {made!r}")
-        for name, value in (("share", share), ("reversed_share", reversed_share)):
-            check(name, value, "a number in [0, 1]", 0.0 <= value <= 1.0)
         check("noise", noise, "a number of at least 0", 0.0 <= noise < float("inf"))
         super().__init__(list(made.in_keys), OPERATOR_ACTION)
         self.out_keys = [OPERATOR_ACTION, TAKEN_OVER]
         self.controller = made
-        self.share, self.noise, self.reversed_share = share, noise, reversed_share
+        self.share, self.noise = check_share("share", share), noise
+        self.reversed_share = check_share("reversed_share", reversed_share)
         self.steps = None if steps is None else check_whole("steps", steps, 1)
         self._generators = SlotGenerators(seed, 1, "ScriptedOperator")
 

@@ -9,7 +9,7 @@ from tensordict import NestedKey
 from torch import Tensor
 from torchrl.data import RandomSampler, Storage
 
-from rrl.checks import check, require
+from rrl.checks import check_share, require
 from rrl.keys import INTERVENED
 
 __all__ = ["InterventionSampler"]
@@ -32,8 +32,7 @@ class InterventionSampler(RandomSampler):
     """
 
     def __init__(self, share: float, key: NestedKey = INTERVENED) -> None:
-        check("share", share, "a number in [0, 1]", 0.0 <= share <= 1.0)
-        self.share, self.key = share, key
+        self.share, self.key = check_share("share", share), key
 
     def sample(self, storage: Storage, batch_size: int) -> tuple[Tensor, dict[str, Any]]:
         """Return indices ``[batch_size]`` into a storage of one dimension."""

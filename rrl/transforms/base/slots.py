@@ -48,6 +48,7 @@ class SlotTransform(Transform):
             td: First observations of the episode, at the transform's place in the chain.
             mask: Slots that start an episode. What is returned for other slots does not count.
         """
+        raise missing(self, "_first")
 
     @abstractmethod
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
@@ -58,6 +59,7 @@ class SlotTransform(Transform):
             next_td: Its outcome, at the transform's place in the chain.
             mask: Slots that were stepped. What is returned for other slots does not count.
         """
+        raise missing(self, "_advance")
 
     def _advance_or_start(
         self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask, started: Tensor

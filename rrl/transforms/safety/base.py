@@ -50,6 +50,7 @@ class SafetyLimit(ActionTransform):
             tensordict: Observations at the transform's place.
             action: The executed action that led to them, ``[*batch, n_act]``; zeros at a reset.
         """
+        raise missing(self, "measure")
 
     @abstractmethod
     def limit(self, action: Tensor, measured: Tensor, limits: ActionLimits) -> Tensor:
@@ -57,6 +58,7 @@ class SafetyLimit(ActionTransform):
 
         It equals ``action`` bit for bit where that is safe.
         """
+        raise missing(self, "limit")
 
     def hold(self, tensordict: TensorDictBase, measured: Tensor) -> Tensor:
         """Return the action ``[*batch, n_act]`` where command or measurement is not finite.

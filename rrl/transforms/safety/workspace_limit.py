@@ -8,7 +8,7 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 
-from rrl.checks import check_length, check_whole, per_dimension, require
+from rrl.checks import check_length, check_lengths, check_whole, per_dimension, require
 from rrl.keys import ACTION
 from rrl.transforms.base import ActionLimits, Mask, Memory
 from rrl.transforms.safety.base import SafetyLimit
@@ -70,7 +70,9 @@ class WorkspaceLimit(SafetyLimit):
     ) -> None:
         super().__init__("workspace", [position_key], action_key)
         room = per_dimension("margin", margin, minimum=0.0)
-        self.low, self.high = per_dimension("low", low) + room, per_dimension("high", high) - room
+        lower, upper = per_dimension("low", low), per_dimension("high", high)
+        check_lengths(low=lower, high=upper, margin=room)
+        self.low, self.high = lower + room, upper - room
         if not (self.high > self.low).all():
             raise ValueError(
                 f"high: expected numbers above low ({low!r}) with the margin ({margin!r}) on both "

@@ -48,8 +48,7 @@ class ObservationDropout(SensingFault):
         out_keys: Sequence[NestedKey] | None = None,
     ) -> None:
         super().__init__(in_keys, out_keys, seed)
-        check("probability", probability, "a probability in [0, 1)", 0.0 <= probability < 1.0)
-        self.probability = float(probability)
+        self.probability = check_share("probability", probability, below_one=True)
         self.steps = check_whole("steps", steps, 1)
 
     def silence(self) -> None:

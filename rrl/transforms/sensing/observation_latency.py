@@ -55,8 +55,7 @@ class ObservationLatency(SensingFault):
         super().__init__(in_keys, out_keys, seed)
         self.steps = check_whole("steps", steps, 0)
         self.update_interval = check_whole("update_interval", update_interval, 1)
-        check("dropout", dropout, "a probability in [0, 1)", 0.0 <= dropout < 1.0)
-        self.dropout = float(dropout)
+        self.dropout = check_share("dropout", dropout, below_one=True)
 
     def silence(self) -> None:
         """Deliver every observation at once."""

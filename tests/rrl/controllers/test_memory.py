@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, TransformedEnv
 
-from rrl.controllers import StatefulController, SumController
+from rrl.controllers import Controller, StatefulController, SumController
 from rrl.transforms import ResidualAction
 from toy_envs import PointMass, ResetsItself
 from transform_cases import Plan
@@ -118,3 +118,17 @@ def test_an_environment_that_changes_its_tensors_in_place_leaves_the_memory_alon
     controller.act(data)
     data["x"] += 1.0
     assert controller.act(data).tolist() == [[0.0], [0.0]]
+
+
+class Forgets(StatefulController):
+    """Does not say what an episode starts with."""
+
+    def act(self, tensordict):
+        return self.state_for(tensordict)["x"]
+
+
+@pytest.mark.parametrize(("kind", "method"), [(Controller, "act"), (Forgets, "initial_state")])
+def test_a_method_that_is_missing_is_named(kind, method) -> None:
+    expected = rf"{kind.__name__}: expected a method {method}\(\), got none"
+    with pytest.raises(NotImplementedError, match=expected):
+        TransformedEnv(PointMass(), ResidualAction(kind([]))).reset()

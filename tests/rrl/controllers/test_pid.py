@@ -102,6 +102,13 @@ def test_what_must_be_positive(name: str) -> None:
         PIDController(**{name: 0.0})
 
 
+def test_lists_of_different_lengths_are_named() -> None:
+    with pytest.raises(ValueError, match=r"time_step: expected one number or 2, .* got 3"):
+        PIDController(integral_gain=[0.1] * 2, time_step=[0.1] * 3)
+    with pytest.raises(ValueError, match=r"unit: expected one number or 2, .* got 3"):
+        PIDController(gain=[0.1] * 2, unit=[0.1] * 3)
+
+
 def test_missing_key_is_named() -> None:
     with pytest.raises(KeyError, match=r"'end_effector_position'.*other"):
         PIDController().act(TensorDict({"other": torch.zeros(2)}))

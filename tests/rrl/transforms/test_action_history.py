@@ -59,7 +59,7 @@ def test_in_front_of_the_superposition_it_holds_the_sum():
     assert torch.equal(second["next", KEY], first["base_action"])
 
 
-@pytest.mark.parametrize("steps", [0, -1, 1.5])
+@pytest.mark.parametrize("steps", [0, -1, 1.5, "2"])
 def test_bad_numbers_of_steps_are_named(steps):
     with pytest.raises(ValueError, match="steps: expected a whole number of at least 1"):
         ActionHistory(steps)

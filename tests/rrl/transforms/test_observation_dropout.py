@@ -72,7 +72,8 @@ def test_an_episode_starts_with_a_fresh_one():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"probability": 1.0}, r"probability: expected a probability in \[0, 1\), got 1.0"),
+        ({"probability": 1.0}, r"probability: expected a number in \[0, 1\), got 1.0"),
+        ({"probability": "0.5"}, "probability: expected a number in .* got '0.5'"),
         ({"probability": 0.1, "steps": 0}, "steps"),
     ],
 )

@@ -242,6 +242,8 @@ def test_an_arm_never_presses_harder_than_the_limit() -> None:
         (lambda: WorkspaceLimit(0.1, 0.1), "high: expected numbers above low"),
         (lambda: WorkspaceLimit(0.1, 0.3, margin=0.15), "high: expected numbers above low"),
         (lambda: WorkspaceLimit(0.1, 0.3, margin=-0.1), "margin: expected numbers of at least 0"),
+        (lambda: WorkspaceLimit([0.0] * 3, [1.0] * 2), "high: expected one number or 3"),
+        (lambda: WorkspaceLimit(0.0, [1.0] * 2, margin=[0.1] * 3), "margin: expected one .* or 2"),
         (lambda: WorkspaceLimit(0.0, 1.0, unit=0.0), "unit: expected positive"),
         (lambda: StepLimit(), "got neither"),
         (lambda: StepLimit(size=-1.0), "size: expected positive"),
