@@ -14,7 +14,7 @@ from rrl.checks import missing, require
 from rrl.keys import SAFETY
 from rrl.transforms.base import ActionLimits, ActionTransform, Mask, Memory, sibling
 
-__all__ = ["SafetyLimit"]
+__all__ = ["CommandLimit", "SafetyLimit"]
 
 
 class SafetyLimit(ActionTransform):
@@ -48,9 +48,17 @@ class SafetyLimit(ActionTransform):
 
         Args:
             tensordict: Observations at the transform's place.
-            action: The executed action that led to them, ``[*batch, n_act]``; zeros at a reset.
+            action: The executed action that led to them, ``[*batch, n_act]``; :meth:`start` at a
+                reset.
         """
         raise missing(self, "measure")
+
+    def start(self, tensordict: TensorDictBase) -> Tensor:
+        """Return what counts as executed before an episode's first step, ``[*batch, n_act]``.
+
+        By default zeros.
+        """
+        return torch.zeros_like(self.limits().low)
 
     @abstractmethod
     def limit(self, action: Tensor, measured: Tensor, limits: ActionLimits) -> Tensor:
@@ -82,7 +90,7 @@ class SafetyLimit(ActionTransform):
         return self.give(tensordict, safe)
 
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
-        action = torch.zeros_like(self.limits().low)
+        action = self.start(td)
         flag = torch.zeros_like(action[..., :1], dtype=torch.bool)
         return {"measured": self.measure(td, action).clone(), "flag": flag}
 
@@ -118,6 +126,46 @@ class SafetyLimit(ActionTransform):
             sizes: Length of each observation in ``in_keys``.
             action_size: Length of the action.
         """
+
+
+class CommandLimit(SafetyLimit):
+    """Base of the limits that remember the last executed action, and no measurement.
+
+    Args:
+        name: See :class:`SafetyLimit`.
+        start_key: Observation ``[*batch, n_act]`` that counts as executed before an episode's first
+            step, where it is finite; None: zeros.
+        action_key: See :class:`SafetyLimit`.
+    """
+
+    def __init__(self, name: str, start_key: NestedKey | None, action_key: NestedKey) -> None:
+        super().__init__(name, [] if start_key is None else [start_key], action_key)
+
+    def start(self, tensordict: TensorDictBase) -> Tensor:
+        """Return the entry in ``start_key``, zeros where it is not finite."""
+        nothing = super().start(tensordict)
+        if not self.in_keys:
+            return nothing
+        given = require(self, tensordict, self.in_keys[0]).to(nothing)
+        return torch.where(finite(given), given, nothing)
+
+    def measure(self, tensordict: TensorDictBase, action: Tensor) -> Tensor:
+        """Return the action that was executed."""
+        return action
+
+    def check_sizes(self, sizes: dict[NestedKey, int], action_size: int) -> None:
+        """Hold the entry in ``start_key`` to the action's size."""
+        check_sizes_equal(sizes, action_size)
+
+
+def check_sizes_equal(sizes: dict[NestedKey, int], action_size: int) -> None:
+    """Raise a ValueError unless each entry has one number for each dimension of the action."""
+    for key, size in sizes.items():
+        if size != action_size:
+            raise ValueError(
+                f"{key!r}: expected {action_size} numbers, one for each dimension of the action, "
+                f"got {size}"
+            )
 
 
 def finite(values: Tensor) -> Tensor:

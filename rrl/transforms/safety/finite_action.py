@@ -10,14 +10,14 @@ from rrl.checks import check, require
 from rrl.keys import ACTION, BASE_ACTION
 from rrl.slot_masks import shaped_like, step_mask, truncate
 from rrl.transforms.base import ActionLimits, sibling
-from rrl.transforms.safety.base import SafetyLimit, finite
+from rrl.transforms.safety.base import CommandLimit, finite
 
 __all__ = ["FiniteAction"]
 
 _REPLACEMENTS = ("last", "zero", "controller")
 
 
-class FiniteAction(SafetyLimit):
+class FiniteAction(CommandLimit):
     """A replacement for commands with NaN or infinity, within the same step.
 
     A broken sensor, controller or network gives them, and clipping lets NaN pass. In the list it
@@ -25,24 +25,26 @@ class FiniteAction(SafetyLimit):
     have the last word on what it puts in.
 
     policy -> env: reads and writes ``action_key``; reads ``base_action_key``.
-    env -> policy: writes ("safety", "finite"), and with ``truncate`` sets "truncated" and "done";
-    see :class:`SafetyLimit`.
+    env -> policy: reads ``start_key``, writes ("safety", "finite"), and with ``truncate`` sets
+    "truncated" and "done"; see :class:`SafetyLimit`.
 
     Args:
         replacement: The command of a slot whose command is not finite. "last": what was executed in
-            the last step, right for absolute targets; in an episode's first step zeros. "zero":
-            zeros, right for displacements and velocities. "controller": the controller's action,
-            and "last" where that is not finite either.
+            the last step, right for absolute targets; in an episode's first step ``start_key``.
+            "zero": zeros, right for displacements and velocities. "controller": the controller's
+            action, and "last" where that is not finite either.
         truncate: Whether the episode ends with such a step. A controller with memory may have
             remembered the NaN, and starts anew with the next episode. An environment that resets
             itself within a step cannot be told to, and goes on.
         base_action_key: The controller's action, read for "controller" only. Default: "base_action"
             at the level of ``action_key``.
+        start_key: Observation ``[*batch, n_act]`` of what the robot holds at a reset, in the
+            action's units; zeros count where it is not finite. None: zeros.
         action_key: The action ``[*batch, n_act]``; may be nested.
 
     Raises:
-        ValueError: If ``replacement`` is unknown.
-        KeyError: If an action is missing.
+        ValueError: If ``replacement`` is unknown, or the start does not have the action's length.
+        KeyError: If an action or the start is missing.
         RuntimeError: If actions pass the inverse without an environment or before a reset.
     """
 
@@ -52,16 +54,13 @@ class FiniteAction(SafetyLimit):
         truncate: bool = True,
         base_action_key: NestedKey | None = None,
         action_key: NestedKey = ACTION,
+        start_key: NestedKey | None = None,
     ) -> None:
-        super().__init__("finite", [], action_key)
+        super().__init__("finite", start_key, action_key)
         expected = f"one of {', '.join(_REPLACEMENTS)}"
         check("replacement", replacement, expected, replacement in _REPLACEMENTS)
         self.replacement, self.truncate = replacement, bool(truncate)
         self._base_key = base_action_key or sibling(action_key, BASE_ACTION)
-
-    def measure(self, tensordict: TensorDictBase, action: Tensor) -> Tensor:
-        """Return the action that was executed."""
-        return action
 
     def limit(self, action: Tensor, measured: Tensor, limits: ActionLimits) -> Tensor:
         """Return the action as it is; :meth:`hold` replaces what is not finite."""

@@ -11,7 +11,7 @@ from torch import Tensor
 from rrl.checks import check_length, check_lengths, check_whole, per_dimension, require
 from rrl.keys import ACTION
 from rrl.transforms.base import ActionLimits, Mask, Memory
-from rrl.transforms.safety.base import SafetyLimit
+from rrl.transforms.safety.base import SafetyLimit, check_sizes_equal
 from rrl.transforms.safety.sums import total
 
 __all__ = ["WorkspaceLimit"]
@@ -107,9 +107,4 @@ class WorkspaceLimit(SafetyLimit):
         """Hold box, unit and position to the action's size."""
         for name, value in (("low", self.low), ("high", self.high), ("unit", self.unit)):
             check_length(name, value, action_size, "the action")
-        for key, size in sizes.items():
-            if size != action_size:
-                raise ValueError(
-                    f"{key!r}: expected {action_size} numbers, one for each dimension of the "
-                    f"action, got {size}"
-                )
+        check_sizes_equal(sizes, action_size)

@@ -118,6 +118,16 @@ def test_the_last_action_has_the_units_of_its_place(nearer, point) -> None:
     torch.testing.assert_close(moved / moved[0], torch.tensor([1.0, 2.0, 3.0, 4.0, 5.0]))
 
 
+def test_an_absolute_target_starts_from_what_the_robot_holds() -> None:
+    limits = StepLimit(change=0.05, start_key=POSITION), FiniteAction(start_key=POSITION)
+    env = TransformedEnv(PointMass((3,), seed=0), Compose(*limits, ControlNoise()))
+    actions = torch.ones(1, 3, 2)
+    actions[0, 2, 0] = torch.nan
+    start, step = drive(env, actions)
+    change = (step["next", "executed_action"] - start[POSITION]).abs().amax(-1)
+    torch.testing.assert_close(change, torch.tensor([0.05, 0.05, 0.0]))
+
+
 def test_workspace_first_keeps_the_box_under_the_other_limits() -> None:
     limits = (
         WorkspaceLimit(**BOX, unit=STEP_SIZE),
@@ -266,6 +276,7 @@ def test_bad_parameters_are_named(make, message) -> None:
     [
         (WorkspaceLimit([0.0] * 3, 1.0), "low: expected one number or 2"),
         (StepLimit(size=[1.0] * 3), "size: expected one number or 2"),
+        (StepLimit(1.0, start_key="success"), "'success': expected 2 numbers, .* action, got 1"),
         (ForceLimit(1.0, [1.0] * 3), "stiffness: expected one number or 2"),
         (ForceLimit(1.0, 1.0, force_key=POSITION), "axes: expected dimensions of a force of 2"),
     ],
