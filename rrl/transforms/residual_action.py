@@ -40,9 +40,10 @@ class ResidualAction(ActionTransform):
     policy -> env: reads ``action_key`` and ``base_action_key``, writes ``action_key``.
 
     Args:
-        controller: A :class:`~rrl.controllers.Controller`, or any TensorDict module that writes
-            ``base_action_key`` or ``action_key``, which is then copied, frozen and run without
-            gradient and without exploration. Its action is cast to the environment's precision.
+        controller: A :class:`~rrl.controllers.Controller`, or any TensorDict module without memory
+            that writes ``base_action_key`` or ``action_key``, which is then copied, frozen and run
+            without gradient and without exploration. Its action is cast to the environment's
+            precision.
         scale: Authority of the residual in half ranges of the action, a number or one for each
             dimension, not negative. Where it is 0 the executed action is the controller's, bit for
             bit, whatever the policy asks for.

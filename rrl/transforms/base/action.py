@@ -61,9 +61,8 @@ class ActionTransform(SlotTransform):
         return self._limits
 
     def action(self, tensordict: TensorDictBase) -> Tensor:
-        """Return the action ``[*batch, n_act]`` in the environment's precision."""
-        limits = self.limits()
-        return require(self, tensordict, self._action_key).to(limits.dtype)
+        """Return the action ``[*batch, n_act]`` in the precision and on the device of here."""
+        return require(self, tensordict, self._action_key).to(self.limits().low)
 
     def give(self, tensordict: TensorDictBase, action: Tensor) -> TensorDictBase:
         """Hand an action ``[*batch, n_act]`` on towards the environment."""
