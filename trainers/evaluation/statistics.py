@@ -127,14 +127,10 @@ def paired_interval(
     parts = [table.mean(axis=0).var(ddof=1) / episodes] if episodes > 1 else []
     parts += [table.mean(axis=1).var(ddof=1) / runs] if runs > 1 else []
     freedoms = [count - 1 for count in (episodes, runs) if count > 1]
-    error = sum(parts)
     if not parts:
         return NO_INTERVAL
-    weights = sum(part**2 / freedom for part, freedom in zip(parts, freedoms, strict=True))
-    freedom = error**2 / weights if weights else 1.0
-    half = float(np.sqrt(error) * stats.t.ppf(0.5 + confidence / 2, freedom))
-    low, high = float(table.mean()) - half, float(table.mean()) + half
-    return (low, high) if bound is None else (max(low, -bound), min(high, bound))
+    errors = list(zip(parts, freedoms, strict=True))
+    return _satterthwaite(float(table.mean()), errors, bound, confidence)
 
 
 def unpaired_interval(
@@ -162,18 +158,30 @@ def unpaired_interval(
     if len(runs) > 1:
         between = runs.mean(axis=1).var(ddof=1) / len(runs), len(runs) - 1
         parts[0] = max(parts[0], between)
-    error = sum(part for part, _ in parts)
-    weights = sum(part**2 / freedom for part, freedom in parts)
-    half = float(
-        np.sqrt(error) * stats.t.ppf(0.5 + confidence / 2, error**2 / weights if weights else 1.0)
-    )
     difference = float(arms[0].mean() - arms[1].mean())
+    return _satterthwaite(difference, parts, bound, confidence)
+
+
+def _satterthwaite(
+    difference: float,
+    errors: Sequence[tuple[float, int]],
+    bound: float | None,
+    confidence: float,
+) -> Interval:
+    """Student's t interval of a difference whose squared errors, with their freedoms, add up."""
+    error = sum(part for part, _ in errors)
+    weights = sum(part**2 / freedom for part, freedom in errors)
+    freedom = error**2 / weights if weights else 1.0
+    half = float(np.sqrt(error) * stats.t.ppf(0.5 + confidence / 2, freedom))
     low, high = difference - half, difference + half
     return (low, high) if bound is None else (max(low, -bound), min(high, bound))
 
 
 def iqm(*strata: Values) -> float:
-    """Return the interquartile mean of all values: the mean of the middle half."""
+    """Return the interquartile mean of all values: the mean of the middle half.
+
+    A quarter is rounded down to whole values: of up to three values it is their mean.
+    """
     return float(stats.trim_mean(np.concatenate(strata), 0.25))
 
 
