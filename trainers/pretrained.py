@@ -21,7 +21,7 @@ from rrl.transforms.base.action_bounds import limits_of
 
 from .configuration import build as assembly
 from .environment import EnvironmentFactory
-from .evaluation.episodes import ACCEPTED
+from .evaluation.entries import ACCEPTED
 from .evaluation.rollout import isolated_generators, rollout
 from .loggers import metrics
 from .report.runs import Run
@@ -224,7 +224,7 @@ def _score(run: Run) -> tuple[float, float] | None:
     score = []
     for entry in ("success", "return"):
         names = [metrics.name(metrics.EVALUATION, run.followed, p + entry) for p in (ACCEPTED, "")]
-        found = [run.record[name] for name in names if name in run.record]
+        found = [run.metrics[name] for name in names if name in run.metrics]
         values = [value for step, value in found[0] if step] if found else []
         score.append(values[-1] if values else None)
     return None if score[1] is None else (score[0] or 0.0, score[1])

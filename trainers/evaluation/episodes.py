@@ -15,14 +15,10 @@ from rrl.keys import METRICS, SAFETY
 
 from ..metric import Metric
 from ..storage.files import write_atomically
+from .entries import ACCEPTED, CONTROLLER
 from .statistics import fisher, mcnemar, wilson
 
-__all__ = ["ACCEPTED", "CONTROLLER", "Comparison", "Episodes", "write_results"]
-
-CONTROLLER = "controller_"
-"""Prefix of the entries of the controller alone."""
-ACCEPTED = "accepted_"
-"""Prefix of the entries of what the run hands over, where policies are tested for it."""
+__all__ = ["Comparison", "Episodes", "write_results"]
 
 
 @dataclass(frozen=True)

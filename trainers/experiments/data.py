@@ -23,17 +23,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from ..evaluation.entries import ACCEPTED, CONTROLLER
 from ..launch.job import Job
 from ..loggers import metrics
 from ..report.runs import Run
-from ..report.tables import ACCEPTED
 from ..storage.files import write_atomically
 from ..storage.run_files import CONFIG_FILE, METRICS, RESULTS, VERSIONS
 from .spread import POSITIONS, reads_positions, spatial_variance
 
 __all__ = ["keep", "take"]
 
-ENTRIES = tuple(p + e for e in ("success", "return") for p in ("", "controller_", ACCEPTED))
+ENTRIES = tuple(p + e for e in ("success", "return") for p in ("", CONTROLLER, ACCEPTED))
 
 
 def keep(job: Job, data: Path) -> None:
@@ -91,9 +91,9 @@ def _folder(job: Job, data: Path) -> Path:
 def _record(run: Run) -> str:
     """Return the metrics that figures show, and the sums of the wall time."""
     names = [metrics.name(metrics.EVALUATION, run.followed, entry) for entry in ENTRIES]
-    rows = [(*point, name) for name in names for point in run.record.get(name, ())]
+    rows = [(*point, name) for name in names for point in run.metrics.get(name, ())]
     for name in map(partial(metrics.name, metrics.TIME), metrics.WHOLE_SECTIONS):
-        if points := run.record.get(name):
+        if points := run.metrics.get(name):
             rows.append((points[-1][0], sum(value for _, value in points), name))
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from rrl.keys import METRICS
 
+from ..evaluation.entries import CONTROLLER
 from ..report.learning_curve import CONTROLLER_COLOR
 from ..report.panels import ABOVE, quantity_title
 from ..report.tables import with_interval
@@ -21,7 +22,6 @@ from .tables import Table, interval_of
 
 __all__ = ["SHOWN", "draw_front", "front_rows"]
 
-CONTROLLER = "controller_"
 HIGH = "_p99"
 LIMIT = f"{ABOVE}limit"
 SHOWN = (

@@ -9,16 +9,16 @@ from typing import Any
 
 from rrl.keys import METRICS
 
+from ..evaluation.entries import ACCEPTED, CONTROLLER
 from ..loggers import metrics
 from ..report.runs import Run
-from ..report.tables import ACCEPTED
 from .outcomes import Finding, Outcome
 from .spec import Experiment
 from .spread import spatial_variance
 
 __all__ = ["COLUMNS", "write_numbers"]
 
-POLICIES = {"controller": "controller_", "latest": "", "handed_over": ACCEPTED}
+POLICIES = {"controller": CONTROLLER, "latest": "", "handed_over": ACCEPTED}
 """Column's beginning to that of an entry."""
 ENTRIES = ("success", "return")
 CHANGES = ("rescues", "regressions", f"{ACCEPTED}rescues", f"{ACCEPTED}regressions")
@@ -60,7 +60,7 @@ def _training(run: Run) -> Iterator[Row]:
     columns: dict[str, dict[int, float]] = {}
     for column, entry in _entries():
         name = metrics.name(metrics.EVALUATION, run.followed, entry)
-        columns[column] = dict(run.record.get(name, ()))
+        columns[column] = dict(run.metrics.get(name, ()))
     episodes = run.config["trainer"]["evaluation"]["episodes"]
     common = {"evaluation": "training", "scenario": run.followed, "episodes": episodes}
     for step in sorted({step for values in columns.values() for step in values}):

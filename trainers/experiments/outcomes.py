@@ -103,18 +103,18 @@ class Outcome:
     def follows(self, entry: str) -> bool:
         """Return whether the evaluations during training have that entry."""
         name = metrics.name(metrics.EVALUATION, self.followed, entry)
-        return all(name in run.record for run in self.runs)
+        return all(name in run.metrics for run in self.runs)
 
     def steps_to(self, success: float) -> list[float | None]:
         """Return each run's environment steps at the first evaluation with that much success."""
         name = metrics.name(metrics.EVALUATION, self.followed, "success")
-        reached = [[s for s, rate in r.record.get(name, []) if rate >= success] for r in self.runs]
+        reached = [[s for s, rate in r.metrics.get(name, []) if rate >= success] for r in self.runs]
         return [min(steps, default=None) for steps in reached]
 
     def curve(self, entry: str) -> Curve:
         """Return an entry of the followed scenario's evaluations, over environment steps."""
         name = metrics.name(metrics.EVALUATION, self.followed, entry)
-        series = {i: run.record.get(name, []) for i, run in enumerate(self.runs)}
+        series = {i: run.metrics.get(name, []) for i, run in enumerate(self.runs)}
         if not all(series.values()):
             raise KeyError(name)
         return curve(series)

@@ -100,7 +100,7 @@ def _changes(run: Run, entry: str) -> Iterator[float]:
     """What is handed over less the controller, at each evaluation during training."""
     prefixes = ("controller_", ACCEPTED, "")
     names = [metrics.name(metrics.EVALUATION, run.followed, p + entry) for p in prefixes]
-    controller, accepted, latest = (run.record.get(name, []) for name in names)
+    controller, accepted, latest = (run.metrics.get(name, []) for name in names)
     if not controller:
         raise KeyError(names[0])
     for (_, alone), (_, value) in zip(controller, accepted or latest, strict=True):

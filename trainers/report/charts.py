@@ -64,7 +64,7 @@ def time_split(groups: Sequence[Group]) -> go.Figure | None:
 
 def _seconds(group: Group, part: str) -> float:
     name = metrics.name(metrics.TIME, part)
-    return sum(v for run in group.runs for _, v in run.record.get(name, ())) / len(group.runs)
+    return sum(v for run in group.runs for _, v in run.metrics.get(name, ())) / len(group.runs)
 
 
 def _styled(figure: go.Figure, height: int) -> go.Figure:

@@ -9,15 +9,15 @@ import numpy as np
 
 from rrl.keys import METRICS
 
+from ..evaluation.entries import ACCEPTED
 from .panels import Declared
 from .runs import Record
 
-__all__ = ["ACCEPTED", "NOTE", "Results", "is_frozen", "notes"]
+__all__ = ["NOTE", "Results", "is_frozen", "notes"]
 
 Results = Mapping[str, Sequence[Record]]
 """Scenario to the records of the runs that are shown as one."""
 
-ACCEPTED = "accepted_"
 NOTE = (
     "Brackets hold 95 % intervals. Controller, and residual of one run: Wilson's, over its "
     "episodes. Residual of several runs: the success rate of runs like these, beta-binomial, or "

@@ -8,6 +8,7 @@ from typing import Any
 
 from rrl.keys import METRICS
 
+from ..evaluation.entries import ACCEPTED, CONTROLLER
 from ..loggers import metrics
 from .curves import ANY
 
@@ -62,7 +63,7 @@ def _evaluated(entry: str, title: str, *, counted: bool = False, paired: bool = 
     name = metrics.name(metrics.EVALUATION, FOLLOWED, entry)
     others = [
         metrics.name(metrics.EVALUATION, FOLLOWED, prefix + entry) if paired else ""
-        for prefix in ("controller_", "accepted_")
+        for prefix in (CONTROLLER, ACCEPTED)
     ]
     scale, bounds = (100.0, RATE) if counted else (1.0, ANY)
     return Panel(name, title, scale, bounds, counted, *others)

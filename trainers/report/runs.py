@@ -57,7 +57,7 @@ class Run:
         return _config(self.path)
 
     @cached_property
-    def record(self) -> dict[str, list[tuple[int, float]]]:
+    def metrics(self) -> dict[str, list[tuple[int, float]]]:
         """Every metric that was logged; empty where the run kept no ``metrics.csv``."""
         return self._read(METRICS, lambda path: read_metrics(path.parent))
 
@@ -84,7 +84,7 @@ class Run:
     @property
     def env_steps(self) -> int:
         """Environment steps, as far as they are logged."""
-        return max((points[-1][0] for points in self.record.values()), default=0)
+        return max((points[-1][0] for points in self.metrics.values()), default=0)
 
     @property
     def seconds(self) -> float:
@@ -92,7 +92,7 @@ class Run:
         return sum(
             value
             for name in map(partial(metrics.name, metrics.TIME), metrics.WHOLE_SECTIONS)
-            for _, value in self.record.get(name, ())
+            for _, value in self.metrics.get(name, ())
         )
 
     @property
@@ -161,7 +161,7 @@ class Group:
         ``{followed}`` in its name stands for the scenario that is evaluated during training.
         """
         name = metric.replace(FOLLOWED, self.followed)
-        series = {k: run.record[name] for k, run in enumerate(self.runs) if name in run.record}
+        series = {k: run.metrics[name] for k, run in enumerate(self.runs) if name in run.metrics}
         if not series:
             return None
         found = curve(series)
@@ -171,7 +171,7 @@ class Group:
     def metrics_of(self, *group: str) -> list[str]:
         """Return the names of the logged metrics of a group, without the group."""
         prefix = metrics.name(*group, "")
-        names = dict.fromkeys(name for run in self.runs for name in run.record)
+        names = dict.fromkeys(name for run in self.runs for name in run.metrics)
         return [name.removeprefix(prefix) for name in names if name.startswith(prefix)]
 
 

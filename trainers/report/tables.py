@@ -12,6 +12,7 @@ from rich.table import Table
 
 from rrl.keys import METRICS
 
+from ..evaluation.entries import ACCEPTED, CONTROLLER
 from ..evaluation.statistics import (
     Interval,
     mean_interval,
@@ -22,7 +23,7 @@ from ..evaluation.statistics import (
 )
 from .curves import Floats
 from .markdown import markdown_table
-from .notes import ACCEPTED, Results, is_frozen, notes
+from .notes import Results, is_frozen, notes
 from .panels import ABOVE, Declared, quantity_title
 from .runs import Record
 
@@ -135,7 +136,7 @@ def _compared(records: Sequence[Record]) -> tuple[str, Floats, Floats]:
     episodes = [record["episodes"] for record in records]
     entry = "success" if "success" in episodes[0] else "return"
     values = np.array([e[entry] for e in episodes], dtype=float)
-    return entry, values, np.array([e[f"controller_{entry}"] for e in episodes], dtype=float)
+    return entry, values, np.array([e[CONTROLLER + entry] for e in episodes], dtype=float)
 
 
 def _mean_change(records: Sequence[Record], key: str) -> str:
@@ -178,7 +179,7 @@ def quantity_rows(
         summaries = [record["summary"] for record in records]
         cells = [
             " \u2192 ".join(_mean(summaries, k) for k in pair) if pair[0] in summaries[0] else ""
-            for pair in ((f"controller_{key}", key) for key in titles)
+            for pair in ((CONTROLLER + key, key) for key in titles)
         ]
         rows.append([scenario, *cells])
     return ["scenario", *titles.values()], rows
@@ -201,12 +202,12 @@ def episode_rows(results: Results) -> list[list[Any]]:
 
 
 def _episodes(episodes: Mapping[str, Sequence[Any]], frozen: bool) -> Iterator[list[Any]]:
-    keys = ("controller_success", "success")
-    entries = [key for key in episodes if f"controller_{key}" in episodes]
+    keys = (f"{CONTROLLER}success", "success")
+    entries = [key for key in episodes if CONTROLLER + key in episodes]
     for i in range(len(episodes["return"])):
         solved = tuple(bool(episodes[k][i]) for k in keys if k in episodes) if frozen else ()
         for key in entries:
-            pair = float(episodes[f"controller_{key}"][i]), float(episodes[key][i])
+            pair = float(episodes[CONTROLLER + key][i]), float(episodes[key][i])
             yield [i, OUTCOMES.get(solved), key, *pair]
 
 
