@@ -26,7 +26,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from ..launch.job import Job, measured_settings, one_seed
+from ..launch.job import Job, one_seed
+from ..storage.same_run import SEEDS, measured_settings
 from .spec import Experiment, Overrides, Settings
 
 __all__ = ["Compose", "Point", "command", "plan_jobs", "plan_points", "run_directory"]
@@ -190,7 +191,7 @@ def _check_metric(experiment: Experiment, env: Mapping[str, Any]) -> None:
 
 
 def _key(config: Mapping[str, Any], sources: Mapping[str, Point]) -> str:
-    measured = measured_settings(config, without=("trainer.seed", "trainer.num_seeds"))
+    measured = measured_settings(config, without=SEEDS)
     text = json.dumps(measured, sort_keys=True)
     text = SOURCE.sub(lambda found: f"run:{sources[found[1]].key}", text)
     return hashlib.sha256(text.encode()).hexdigest()[:8]

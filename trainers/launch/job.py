@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -12,26 +11,9 @@ import yaml
 
 from ..storage.files import write_atomically
 from ..storage.run_files import CONFIG_FILE, LOG, RESULTS
-from ..storage.same_run import leaves
+from ..storage.same_run import measured_settings
 
-__all__ = ["Job", "measured_settings", "one_seed"]
-
-NOT_MEASURED = (
-    "name",
-    "launcher",
-    "workers",
-    "logger*",
-    "render.*",
-    "trainer.profile",
-    "trainer.keys",
-    "trainer.threads",
-    "trainer.checkpoint.*",
-    "trainer.evaluation.slots",
-    "env.base.num_threads",
-    "env.renderer*",
-    "env.packages*",
-)
-"""Dotted keys that do not decide what is learned and measured."""
+__all__ = ["Job", "one_seed"]
 
 
 @dataclass(frozen=True)
@@ -97,29 +79,3 @@ def one_seed(config: Mapping[str, Any], seed: int) -> dict[str, Any]:
     """Return the configuration of one seed's run; whoever starts several makes the video."""
     trainer = {**config["trainer"], "seed": seed, "num_seeds": 1}
     return {**config, "trainer": trainer, "render": {**config["render"], "enabled": False}}
-
-
-def measured_settings(config: Mapping[str, Any], without: Sequence[str] = ()) -> dict[str, str]:
-    """Return the entries that decide what is learned and measured, by dotted key.
-
-    Args:
-        config: A resolved configuration.
-        without: Further keys to leave out, with ``*`` for anything.
-    """
-    given = leaves(config)
-    patterns = (*NOT_MEASURED, *_unused(given), *without)
-    return {
-        key: value
-        for key, value in given.items()
-        if not any(fnmatchcase(key, pattern) for pattern in patterns)
-    }
-
-
-def _unused(given: Mapping[str, str]) -> list[str]:
-    """Return patterns of settings of what is switched off; a new one must not make runs old."""
-    budgets = [v for k, v in given.items() if fnmatchcase(k, "env.metrics.*.budget")]
-    unused = {
-        "trainer.constraints*": all(value == "null" for value in budgets),
-        "trainer.realtime.*": given.get("trainer.collection") != '"realtime"',
-    }
-    return [pattern for pattern, off in unused.items() if off]

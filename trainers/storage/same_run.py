@@ -1,9 +1,9 @@
-"""What makes a run the same run: which settings may change when it is resumed."""
+"""What makes a run the same run: when it is resumed, and for what it comes to."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -30,6 +30,25 @@ MAY_CHANGE = (
 )
 """Dotted keys, with ``*`` for anything. All others decide what parameters and transitions mean, or
 which random numbers come next."""
+
+NOT_MEASURED = (
+    "name",
+    "launcher",
+    "workers",
+    "logger*",
+    "render.*",
+    "trainer.profile",
+    "trainer.keys",
+    "trainer.threads",
+    "trainer.checkpoint.*",
+    "trainer.evaluation.slots",
+    "env.base.num_threads",
+    "env.renderer*",
+    "env.packages*",
+)
+"""Dotted keys that do not decide what is learned and measured."""
+SEEDS = ("trainer.seed", "trainer.num_seeds")
+"""Dotted keys in which runs differ that are shown as one."""
 
 ABSENT = "(absent)"
 
@@ -78,3 +97,29 @@ def leaves(node: Any, path: str = "") -> dict[str, str]:
             found |= leaves(child, f"{path}.{key}" if path else str(key))
         return found
     return {path: json.dumps(node, default=str)} if path else {}
+
+
+def measured_settings(config: Mapping[str, Any], without: Sequence[str] = ()) -> dict[str, str]:
+    """Return the entries that decide what is learned and measured, by dotted key.
+
+    Args:
+        config: A resolved configuration.
+        without: Further keys to leave out, with ``*`` for anything.
+    """
+    given = leaves(config)
+    patterns = (*NOT_MEASURED, *_unused(given), *without)
+    return {
+        key: value
+        for key, value in given.items()
+        if not any(fnmatchcase(key, pattern) for pattern in patterns)
+    }
+
+
+def _unused(given: Mapping[str, str]) -> list[str]:
+    """Return patterns of settings of what is switched off; a new one must not make runs old."""
+    budgets = [v for k, v in given.items() if fnmatchcase(k, "env.metrics.*.budget")]
+    unused = {
+        "trainer.constraints*": all(value == "null" for value in budgets),
+        "trainer.realtime.*": given.get("trainer.collection") != '"realtime"',
+    }
+    return [pattern for pattern, off in unused.items() if off]

@@ -3,7 +3,7 @@
 import pytest
 
 from rrl.trainers.cli.compose import compose
-from rrl.trainers.launch.job import measured_settings
+from rrl.trainers.storage.same_run import measured_settings
 
 SWITCHES = {
     "trainer.constraints.rate": (0.5, "env.metrics.contact_force.budget=25"),
