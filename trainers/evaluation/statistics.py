@@ -15,6 +15,7 @@ from scipy import stats
 from scipy.special import gammaln
 
 __all__ = [
+    "NO_INTERVAL",
     "Interval",
     "fisher",
     "iqm",

@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..loggers import metrics
-from .curves import Curve, Floats
+from .curves import Curve, Floats, alike, view
 from .panels import Panel
 from .runs import Group
 
@@ -42,7 +42,9 @@ def curves(groups: Sequence[Group], panels: Sequence[Panel]) -> go.Figure | None
             figure.add_trace(trace, **cell)
         axis = "environment steps" if i >= len(shown) - COLUMNS else None
         figure.update_xaxes(title={"text": axis, "font_size": 12}, **cell)
-        figure.update_yaxes(range=_view(traces), **cell)
+        # Not all of a band that few runs leave wide.
+        lines = [trace.y for trace in traces if trace.fill is None]
+        figure.update_yaxes(range=view(lines, 0.12), **cell)
     return _styled(figure, rows * ROW_HEIGHT + 90)
 
 
@@ -76,21 +78,14 @@ def _styled(figure: go.Figure, height: int) -> go.Figure:
     return figure
 
 
-def _view(traces: Sequence[go.Scatter]) -> list[float]:
-    """The first view holds all lines, but not all of a band that few runs leave wide."""
-    lines = np.concatenate([trace.y for trace in traces if trace.fill is None])
-    low, high = float(np.nanmin(lines)), float(np.nanmax(lines))
-    room = 0.12 * (high - low) or 0.1 * abs(high) or 1.0
-    return [low - room, high + room]
-
-
 def _traces(groups: Sequence[Group], panel: Panel) -> list[go.Scatter]:
     found = [(k, group, group.curve(panel.metric)) for k, group in enumerate(groups)]
     lines = [(k, group, curve) for k, group, curve in found if curve]
     end = max(curve.steps[-1] for _, _, curve in lines)
     traces = []
     for k, group, curve in lines:
-        traces += _group_traces(group, panel, curve.until(end), COLORS[k % len(COLORS)])
+        shown = curve if group.config["trainer"]["total_steps"] else curve.level(end)
+        traces += _group_traces(group, panel, shown, COLORS[k % len(COLORS)])
     return traces + (_controllers(groups, panel, end) if panel.controller else [])
 
 
@@ -122,18 +117,16 @@ def _group_traces(group: Group, panel: Panel, curve: Curve, color: str) -> list[
 
 
 def _controllers(groups: Sequence[Group], panel: Panel, end: float) -> list[go.Scatter]:
-    """The controller's level, once for all groups that it is the same for."""
-    alike: dict[str, list[Group]] = {}
-    for group in groups:
-        if group.config.get("arm") == "residual" and group.curve(panel.controller):
-            key = repr([group.config.get(k) for k in ("env", "controller", "disturbance")])
-            alike.setdefault(key, []).append(group)
+    """The controller's level, once for all groups that it came to the same for."""
+    learned_on = [group for group in groups if group.config["arm"] == "residual"]
+    found = [(group.label, group.curve(panel.controller)) for group in learned_on]
+    levels = [(label, curve) for label, curve in found if curve]
+    same = alike(levels, lambda level: frozenset(level[1].values.ravel()))
     traces = []
-    for same in alike.values():
-        level = max(same, key=lambda group: group.runs[0].env_steps).curve(panel.controller)
-        assert level is not None
-        of = f" ({', '.join(group.label for group in same)})" if len(alike) > 1 else ""
-        name, level = f"controller alone{of}", level.until(end)
+    for of_one in same:
+        of = f" ({', '.join(label for label, _ in of_one)})" if len(same) > 1 else ""
+        longest = max((curve for _, curve in of_one), key=lambda curve: curve.steps[-1])
+        name, level = f"controller alone{of}", longest.level(end)
         style = {"color": CONTROLLER_COLOR, "width": 2, "dash": "dash"}
         line = _line(level.steps, level.mean * panel.scale, name, name, style)
         traces.append(line.update(meta={"Show": "controller"}))
@@ -142,7 +135,8 @@ def _controllers(groups: Sequence[Group], panel: Panel, end: float) -> list[go.S
 
 def _line(x: Floats, y: Floats, name: str, group: str, style: dict[str, Any]) -> go.Scatter:
     hover = "%{y:.4g} after %{x} steps"
-    look = {"line": style, "mode": "lines", "hovertemplate": hover}
+    mode = "lines" if len(x) > 1 else "markers"
+    look = {"line": style, "mode": mode, "marker_color": style.get("color"), "hovertemplate": hover}
     return go.Scatter(x=x, y=y, name=name, legendgroup=group, **look)
 
 

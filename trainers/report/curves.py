@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..evaluation.statistics import mean_interval, success_interval
+from ..evaluation.statistics import NO_INTERVAL, Interval, mean_interval, success_interval
 
-__all__ = ["ANY", "Curve", "Floats", "Series", "curve"]
+__all__ = ["ANY", "Curve", "Floats", "Series", "alike", "curve", "view"]
+
+T = TypeVar("T")
 
 Floats = NDArray[np.float64]
 Series = Mapping[int, Sequence[tuple[int, float]]]
@@ -52,8 +55,7 @@ class Curve:
             None where a single run says nothing about others.
         """
         if episodes:
-            counts = np.rint(self.values.T * episodes).astype(int).tolist()
-            low, high = np.array([success_interval(column, episodes) for column in counts]).T
+            low, high = np.array([_rate_interval(rates, episodes) for rates in self.values.T]).T
         elif len(self.values) > 1:
             low, high = np.array([mean_interval(column) for column in self.values.T]).T
             low, high = low.clip(*bounds), high.clip(*bounds)
@@ -61,8 +63,8 @@ class Curve:
             return None
         return low, high
 
-    def until(self, end: float) -> Curve:
-        """Return a curve up to ``end``: a single value is a level that holds for all steps."""
+    def level(self, end: float) -> Curve:
+        """Return a curve up to ``end``, of what does not learn: a single value is a level."""
         if len(self.steps) > 1 or self.steps[0] == end:
             return self
         return replace(self, steps=np.array([0.0, end]), values=np.repeat(self.values, 2, axis=1))
@@ -82,3 +84,26 @@ def curve(series: Series) -> Curve:
     steps = sorted(set.intersection(*(set(points) for points in per_seed.values())))
     values = np.array([[points[t] for t in steps] for points in per_seed.values()])
     return Curve(tuple(per_seed), np.array(steps, dtype=float), values)
+
+
+def view(lines: Iterable[Floats], share: float) -> tuple[float, float]:
+    """Return limits of an axis that hold all lines, and more by a share of their range."""
+    values = np.concatenate([np.zeros(0), *lines])
+    values = values[np.isfinite(values)]
+    low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 0.0)
+    room = share * (high - low) or 0.1 * abs(high) or 1.0
+    return low - room, high + room
+
+
+def alike(items: Iterable[T], values: Callable[[T], Hashable]) -> list[list[T]]:
+    """Put items together whose values are equal, in the order of their first ones."""
+    found: dict[Hashable, list[T]] = {}
+    for item in items:
+        found.setdefault(values(item), []).append(item)
+    return list(found.values())
+
+
+def _rate_interval(rates: Floats, episodes: int) -> Interval:
+    if not np.isfinite(rates).all():
+        return NO_INTERVAL
+    return success_interval(np.rint(rates * episodes).astype(int).tolist(), episodes)

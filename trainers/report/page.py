@@ -126,8 +126,14 @@ class Page:
         )
 
     def write(self, path: Path | str) -> Path:
-        """Write the page, all or nothing."""
+        """Write the page, all or nothing.
+
+        Raises:
+            IsADirectoryError: If there is a folder of that name.
+        """
         path = Path(path)
+        if path.is_dir():
+            raise IsADirectoryError(f"{path}: expected a file, got a folder; name a file in it")
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, self.render())
         return path

@@ -21,6 +21,7 @@ __all__ = [
     "SHARES",
     "Declared",
     "Panel",
+    "agreed",
     "logged",
     "quantities",
     "quantity_title",
@@ -91,6 +92,20 @@ def quantities(entries: Iterable[str], declared: Declared) -> list[Panel]:
     return [_evaluated(e, quantity_title(e, declared), counted=ABOVE in e) for e in found]
 
 
+def agreed(declarations: Iterable[Declared]) -> Declared:
+    """Return what all say that say anything of a quantity's unit, budget or limit."""
+    said: dict[str, dict[str, set[Any]]] = {}
+    for name, how in (pair for declared in declarations for pair in declared.items()):
+        entries = said.setdefault(name, {})
+        for key, value in how.items():
+            if value is not None:
+                entries.setdefault(key, set()).add(value)
+    return {
+        name: {key: values.pop() for key, values in entries.items() if len(values) == 1}
+        for name, entries in said.items()
+    }
+
+
 def quantity_title(entry: str, declared: Declared) -> str:
     """Name a mean, ``..._p99`` or a share ``..._above_...`` of ``metrics/<name>`` in words."""
     name, _, bound = entry.partition("/")[2].partition(ABOVE)
@@ -98,7 +113,9 @@ def quantity_title(entry: str, declared: Declared) -> str:
     how, words = declared.get(base, {}), base.replace("_", " ")
     unit = how.get("unit", "")
     if bound:
-        return f"{words} above the {bound} {how.get(bound, 0.0):g} {unit}".rstrip() + " [%]"
+        value = how.get(bound)
+        above = f"its {bound}" if value is None else f"the {bound} {value:g} {unit}".rstrip()
+        return f"{words} above {above} [%]"
     tail = ", 99th percentile" if base != name else ", mean"
     return words + tail + (f" [{unit}]" if unit else "")
 

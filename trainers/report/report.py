@@ -10,11 +10,11 @@ from typing import Any
 import yaml
 
 from ..loggers import metrics
-from ..storage.same_run import leaves
+from ..storage.same_run import SEEDS, leaves, measured_settings
 from . import charts, notes, panels, tables
 from .page import Page
 from .panels import Panel
-from .runs import OWN, Group, Record, Run, group_runs
+from .runs import Group, Record, Run, group_runs
 
 __all__ = ["write_report"]
 
@@ -89,7 +89,7 @@ def _results(page: Page, groups: Sequence[Group]) -> None:
             for note in notes.notes(g.results, g.declared)[1:]:
                 page.text(f"{g.label}: {note}" if len(groups) > 1 else note)
         page.text(notes.NOTE)
-        declared = {name: how for group in groups for name, how in group.declared.items()}
+        declared = panels.agreed(group.declared for group in groups)
         # All scenarios and groups at once: one header for quantities that not all of them have.
         merged = {f"{s}\n{g.label}": g.results[s] for s, g in found}
         header, rows = tables.quantity_rows(merged, declared)
@@ -146,7 +146,7 @@ def _sections(groups: Sequence[Group]) -> tuple[tuple[str, Sequence[Panel], str]
 
     followed = ", ".join(dict.fromkeys(group.followed for group in groups))
     entries = dict.fromkeys(n for g in groups for n in g.metrics_of(metrics.EVALUATION, g.followed))
-    declared = {name: how for group in groups for name, how in group.declared.items()}
+    declared = panels.agreed(group.declared for group in groups)
     limits = dict.fromkeys(n for g in groups for n in g.metrics_of(metrics.SAFETY))
     return (
         (
@@ -209,8 +209,9 @@ def _videos(page: Page, runs: Sequence[Run]) -> None:
         page.section("Videos")
     size = 0
     for run, video in videos:
-        size += video.stat().st_size
-        if size <= MAX_VIDEO_BYTES:
+        more = video.stat().st_size
+        if size + more <= MAX_VIDEO_BYTES:
+            size += more
             page.video(video, f"{run.label}: {video.stem.replace('_', ' ')}")
         else:
             page.text(f"Left out to keep the page small: `{video}`.")
@@ -221,10 +222,11 @@ def _configuration(page: Page, groups: Sequence[Group]) -> None:
     if len(groups) > 1:
         page.text("What differs, beside the seeds:")
         columns = [leaves(group.config) for group in groups]
+        counted = set().union(*(measured_settings(group.config, SEEDS) for group in groups))
         rows = [
             [key, *(_plain(column.get(key, "")) for column in columns)]
-            for key in sorted(set().union(*columns))
-            if not OWN.fullmatch(key) and len({column.get(key, "") for column in columns}) > 1
+            for key in sorted(counted)
+            if len({column.get(key, "") for column in columns}) > 1
         ]
         page.table(["key", *(group.label for group in groups)], rows)
     for group in groups:

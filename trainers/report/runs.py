@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import os
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -24,7 +23,7 @@ from ..storage.run_files import (
     VIDEOS,
     seed_directories,
 )
-from ..storage.same_run import leaves
+from ..storage.same_run import SEEDS, measured_settings
 from .curves import Curve, curve
 from .panels import FOLLOWED, Declared
 
@@ -35,8 +34,16 @@ log = logging.getLogger(__name__)
 Record = Mapping[str, Mapping[str, Any]]
 """What ``results.json`` holds of a scenario: ``summary`` and ``episodes``."""
 
-OWN = re.compile(r"name|logger\b.*|render\b.*|hydra\b.*|trainer\.(seed|num_seeds|threads|profile)")
-"""Keys in which the runs of a group may differ."""
+NEEDED: Mapping[str, type] = {
+    "arm": str,
+    "env.name": str,
+    "env.scenarios": dict,
+    "trainer.seed": int,
+    "trainer.total_steps": int,
+    "trainer.evaluation.episodes": int,
+    "algorithm.agent._target_": str,
+}
+"""What a configuration has to have for its run to be shown."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +71,7 @@ class Run:
     @cached_property
     def results(self) -> dict[str, Record]:
         """The final evaluation by scenario; empty while the run is not finished."""
-        return self._read(RESULTS, _json)
+        return self._read(RESULTS, _records)
 
     @cached_property
     def versions(self) -> dict[str, str]:
@@ -112,7 +119,7 @@ class Run:
         path = self.path / name
         try:
             return parse(path) if path.is_file() else {}
-        except (OSError, ValueError, AttributeError) as error:
+        except (OSError, ValueError) as error:
             log.warning("%s cannot be read and is left out: %s", path, error)
             return {}
 
@@ -198,11 +205,10 @@ def find_runs(paths: Sequence[Path]) -> list[Run]:
 
 
 def group_runs(runs: Sequence[Run]) -> list[Group]:
-    """Put runs together that have the same configuration but for seed, name, loggers, threads."""
+    """Put runs together that differ in nothing measured but the seed."""
     groups: dict[tuple[str, int], list[Run]] = {}
     for run in runs:
-        key = {k: v for k, v in leaves(run.config).items() if not OWN.fullmatch(k)}
-        text, again = json.dumps(key, sort_keys=True), 0
+        text, again = json.dumps(measured_settings(run.config, SEEDS), sort_keys=True), 0
         while any(run.seed == other.seed for other in groups.get((text, again), ())):
             again += 1  # the same seed once more tells nothing new
         groups.setdefault((text, again), []).append(run)
@@ -213,32 +219,50 @@ def group_runs(runs: Sequence[Run]) -> list[Group]:
 
 
 def _config(path: Path) -> dict[str, Any]:
-    return dict(yaml.safe_load((path / CONFIG_FILE).read_text(encoding="utf-8")))
+    return _mapping(yaml.safe_load((path / CONFIG_FILE).read_text(encoding="utf-8")))
 
 
 def _readable(path: Path) -> bool:
     try:
         config = _config(path)
-        return bool(config["trainer"] and config["env"])
-    except (OSError, ValueError, TypeError, KeyError, yaml.YAMLError) as error:
+        for key, kind in NEEDED.items():
+            found: Any = config
+            for part in key.split("."):
+                found = found.get(part) if isinstance(found, Mapping) else None
+            if not isinstance(found, kind) or found == {}:
+                raise ValueError(f"{key}: expected {kind.__name__}, got {found!r}")
+    except (OSError, ValueError, yaml.YAMLError) as error:
         reason = " ".join(str(error).split())
         log.warning("%s cannot be read, the run is left out: %s", path / CONFIG_FILE, reason)
         return False
+    return True
 
 
-def _json(path: Path) -> Any:
-    return dict(json.loads(path.read_text(encoding="utf-8")))
+def _mapping(content: Any) -> dict[str, Any]:
+    if not isinstance(content, dict):
+        raise ValueError(f"expected entries by name, got {content!r}")
+    return content
 
 
-def _run_dirs(folder: Path) -> list[Path]:
-    """The folder, if it is a run, or all runs below it; not the command line's hidden copies."""
-    if seeds := seed_directories(folder):
-        return seeds
-    if (folder / CONFIG_FILE).is_file():
-        return [folder]
-    found = (path.parent.relative_to(folder) for path in sorted(folder.rglob(CONFIG_FILE)))
-    shown = [folder / p for p in found if not any(part.startswith(".") for part in p.parts)]
-    return [path for path in shown if not seed_directories(path)]  # the seeds stand for themselves
+def _json(path: Path) -> dict[str, Any]:
+    return _mapping(json.loads(path.read_text(encoding="utf-8")))
+
+
+def _records(path: Path) -> dict[str, Record]:
+    records = _json(path)
+    for scenario, record in records.items():
+        if not {"summary", "episodes"} <= _mapping(record).keys():
+            raise ValueError(f"{scenario}: expected summary and episodes, got {list(record)}")
+    return records
+
+
+def _run_dirs(folder: Path) -> Iterator[Path]:
+    """The folder, if it is a run, or all runs below it; nothing hidden, nor what a run contains."""
+    for name, folders, files in os.walk(folder):
+        path = Path(name)
+        found = seed_directories(path) or ([path] if CONFIG_FILE in files else [])
+        yield from found
+        folders[:] = [] if found else sorted(f for f in folders if not f.startswith("."))
 
 
 def _labels(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
@@ -246,6 +270,7 @@ def _labels(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
     if len(set(names)) == len(names):
         return list(names)
     common = _common(paths)
+    common = common.parent if common in paths else common
     labels = [str(path.relative_to(common)) for path in paths]
     if len(set(labels)) == len(labels):
         return labels

@@ -100,7 +100,7 @@ def success_cells(records: Sequence[Record]) -> list[str]:
     alone = alone[:1] if frozen else alone  # frozen, it is the same in every run
     if entry == "return":
         return [
-            f"{alone.mean():.2f}",
+            with_interval(alone.mean(), mean_interval(alone.ravel())),
             with_interval(values.mean(), mean_interval(values.mean(axis=1))),
             with_interval(change, interval, sign="+"),
             "",
@@ -148,15 +148,15 @@ def with_interval(
 ) -> str:
     """Format a value and its interval; bounds are rounded outwards. A scale of 100 means per cent.
 
-    An interval that is not a number, as of a single run, is left out.
+    An interval that is not a number is left out: a finite value without one is of a single run.
     """
     digits, percent = (1, " %") if scale == 100.0 else (2, "")
     text = f"{value * scale:{sign}.{digits}f}"
     if math.isnan(interval[0]):
-        return f"{text}{percent} (one run)"
+        return f"{text}{percent}{' (one run)' if math.isfinite(value) else ''}"
     unit = 10**digits
-    low = math.floor(interval[0] * scale * unit + 1e-9) / unit
-    high = math.ceil(interval[1] * scale * unit - 1e-9) / unit
+    low = np.floor(interval[0] * scale * unit + 1e-9) / unit
+    high = np.ceil(interval[1] * scale * unit - 1e-9) / unit
     return f"{text} [{low:{sign}.{digits}f}, {high:{sign}.{digits}f}]{percent}"
 
 

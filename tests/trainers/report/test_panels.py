@@ -2,7 +2,7 @@
 
 import pytest
 
-from rrl.trainers.report.panels import budgets
+from rrl.trainers.report.panels import agreed, budgets, quantity_title
 
 DECLARED = {"contact_force": {"unit": "N"}}
 
@@ -18,3 +18,19 @@ DECLARED = {"contact_force": {"unit": "N"}}
 )
 def test_what_a_budget_costs_and_what_is_used_of_it(name, title):
     assert [(panel.metric, panel.title) for panel in budgets([name], DECLARED)] == [(name, title)]
+
+
+@pytest.mark.parametrize(
+    ("bounds", "words"),
+    [
+        ([40.0], "above the budget 40 N [%]"),
+        ([40.0, 40.0], "above the budget 40 N [%]"),
+        ([40.0, None], "above the budget 40 N [%]"),  # the other one has no such share
+        ([15.0, 40.0], "above its budget [%]"),
+        ([None], "above its budget [%]"),
+    ],
+)
+def test_a_bound_is_named_where_all_that_have_one_have_the_same(bounds, words):
+    declared = agreed({"contact_force": {"unit": "N", "budget": bound}} for bound in bounds)
+    title = quantity_title("metrics/contact_force_above_budget", declared)
+    assert title == f"contact force {words}"

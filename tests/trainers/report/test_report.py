@@ -1,73 +1,26 @@
 """The report: what runs logged, on one page that opens anywhere."""
 
 import json
-import subprocess
-import sys
 import time
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
-import yaml
+from logged_runs import EPISODES, FORCE, edit, episodes, make_run
 
 from browser import needs_chromium, opened
 from rrl.trainers.cli.main import main
-from rrl.trainers.evaluation.episodes import Comparison, Episodes, write_results
+from rrl.trainers.evaluation.episodes import Comparison
 from rrl.trainers.evaluation.statistics import success_interval
-from rrl.trainers.loggers import CSVLogger
+from rrl.trainers.metric import Metric
+from rrl.trainers.report import report
+from rrl.trainers.report.charts import curves
 from rrl.trainers.report.curves import curve
 from rrl.trainers.report.learning_curve import learning_curve
+from rrl.trainers.report.panels import LEARNING
 from rrl.trainers.report.report import write_report
 from rrl.trainers.report.runs import find_runs, group_runs
-from rrl.trainers.storage.versions import write_versions
-
-EPISODES = 20
-STEPS = range(0, 1001, 50)
-
-
-def episodes(solved, force):
-    metrics = {"contact_force": np.full(EPISODES, force), "tilt": np.full(EPISODES, 0.1)}
-    success = np.arange(EPISODES) < solved
-    return Episodes(
-        success - 5.0, np.full(EPISODES, 50), success, np.zeros(EPISODES, dtype=bool), metrics
-    )
-
-
-def make_run(folder, arm="residual", seed=0, finished=True, compared=Comparison, **changes):
-    folder.mkdir(parents=True)
-    env = {"name": "insertion", "scenarios": {"misaligned": {}, "aligned": {}}}
-    config = {
-        "name": f"insertion-{arm}",
-        "arm": arm,
-        "env": {**env, "metrics": {"contact_force": {"unit": "N", "reduce": "max"}}},
-        "controller": {"_target_": "rrl.controllers.ZeroController"},
-        "disturbance": {"control_noise": None},
-        "algorithm": {"agent": {"_target_": "rrl.algorithms.TD3", "tau": 0.01} | changes},
-        "trainer": {"seed": seed, "total_steps": 1000, "evaluation": {"episodes": EPISODES}},
-    }
-    (folder / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
-    logger = CSVLogger()
-    logger.start(folder, config, 0)
-    for step in STEPS:
-        comparison = compared(episodes(step // 60 + seed, 30.0 + seed), episodes(4, 20.0))
-        logger.log({f"eval/misaligned/{k}": v for k, v in comparison.summary().items()}, step)
-        logger.log({"loss/loss_critic": 1.0 / (1 + step), "safety/step": 0.1}, step)
-        logger.log({"action/residual_share": 0.4, "time/update": 2.0}, step)
-    logger.finish()
-    if finished:
-        write_results({"misaligned": comparison, "aligned": comparison}, folder / "results.json")
-        write_versions(folder)
-    return folder
-
-
-def make_group(folder, **arguments):
-    return [make_run(folder / f"seed-{seed}", seed=seed, **arguments) for seed in (0, 1, 2)]
-
-
-@pytest.fixture
-def runs(tmp_path):
-    folders = {arm: tmp_path / "outputs" / arm / "now" for arm in ("residual", "rl")}
-    return [run for arm, folder in folders.items() for run in make_group(folder, arm=arm)]
 
 
 def test_a_page_of_one_group_is_quick_and_holds_it_all(runs):
@@ -135,22 +88,6 @@ def test_the_command_takes_runs_or_a_folder_of_runs(runs, tmp_path, capsys, monk
     assert "expected their directories" in capsys.readouterr().err
 
 
-def test_runs_that_differ_by_the_seed_alone_are_a_group(runs, tmp_path):
-    other = make_run(tmp_path / "other", tau=0.02)
-    again = make_run(tmp_path / "again")  # the same seed tells nothing new
-    groups = group_runs(find_runs([*runs, other, again]))
-    assert [[run.seed for run in group.runs] for group in groups] == [
-        *([0, 1, 2], [0, 1, 2], [0], [0]),
-    ]
-    found = groups[0].curve("eval/{followed}/success")
-    assert found.seeds == (0, 1, 2)
-    assert found.values[:, -1].tolist() == [0.8, 0.85, 0.9]
-    (alone,) = group_runs(find_runs([other]))
-    assert alone.curve("eval/{followed}/return").band() is None
-    low, high = alone.curve("eval/{followed}/success").band(EPISODES)
-    assert (low < high).all()
-
-
 def test_a_learning_curve_of_a_group_or_of_nothing(runs, tmp_path):
     (group,) = group_runs(find_runs(runs[:3]))
     out = learning_curve(group, tmp_path / "curve.png")
@@ -184,25 +121,80 @@ def test_a_report_says_what_is_not_paired(tmp_path):
     assert "Nothing was logged for: rescues and regressions" in source
 
 
-def test_a_torn_file_is_named_and_the_rest_is_shown(runs, tmp_path, caplog):
-    (runs[0] / "results.json").write_text('{"misaligned": {"summ')
-    (runs[1] / "config.yaml").write_text("trainer: {seed: [")
-    (runs[2] / "metrics.csv").write_bytes(b"\xff\x00\x00")
-    source = write_report(find_runs([tmp_path / "outputs"]), tmp_path / "page.html").read_text()
-    for path in (runs[0] / "results.json", runs[1] / "config.yaml"):
-        assert str(path) in caplog.text
-    assert "insertion-residual" in source
-    assert "seed-1" not in source.split("insertion-rl")[0]
-    with pytest.raises(FileNotFoundError, match="expected the directory of a run"):
-        find_runs([runs[1]])
+def test_a_rate_that_is_no_number_is_a_gap(tmp_path):
+    run = make_run(tmp_path / "run")
+    with (run / "metrics.csv").open("a") as file:
+        file.write("1050,eval/misaligned/success,nan\n1050,eval/misaligned/return,nan\n")
+    (group,) = group_runs(find_runs([run]))
+    low, high = group.curve("eval/{followed}/success").band(EPISODES)
+    assert np.isnan([low[-1], high[-1]]).all() and np.isfinite([low[:-1], high[:-1]]).all()
+    assert learning_curve(group, tmp_path / "curve.png")
+    write_report([*group.runs], tmp_path / "page.html")
 
 
-def test_runs_are_read_without_torch(runs):
-    program = "import sys; from rrl.trainers.report import report, runs; "
-    program += "from pathlib import Path; print(runs.find_runs([Path(sys.argv[1])])[0].env_steps); "
-    program += "assert 'torch' not in sys.modules"
-    command = [sys.executable, "-c", program, str(runs[0])]
-    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "1000\n"
+def test_groups_of_different_budgets_stand_side_by_side(tmp_path):
+    runs = []
+    for budget in (None, 25.0, 30.5):
+        how = {"contact_force": Metric(**FORCE, budget=budget)}
+        compared = partial(
+            lambda how, *pair: Comparison(*(replace(e, declared=how) for e in pair)), how
+        )
+        runs.append(make_run(tmp_path / str(budget), compared=compared, budget=budget))
+    source = write_report(find_runs(runs), tmp_path / "page.html").read_text()
+    assert "contact force above its budget [%]" in source
+    source = write_report(find_runs(runs[:2]), tmp_path / "page.html").read_text()
+    assert "contact force above the budget 25 N [%]" in source
+
+
+def lines(runs, name):
+    """Lines of that name in the return's panel."""
+    figure = curves(group_runs(find_runs(runs)), LEARNING[1:])
+    return [trace for trace in figure.data if name in trace.name]
+
+
+def test_what_has_only_begun_is_not_drawn_to_the_end_and_a_controller_is(tmp_path):
+    begun, level = (make_run(tmp_path / n, arm=n) for n in ("rl", "controller"))
+    whole = make_run(tmp_path / "whole")
+    edit(level, trainer={"total_steps": 0})
+    for run in (begun, level):
+        rows = (run / "metrics.csv").read_text().splitlines()
+        (run / "metrics.csv").write_text(
+            "\n".join(rows[:1] + [r for r in rows if r[:2] == "0,"]) + "\n"
+        )
+    runs = [whole, begun, level]
+    assert [trace.x.tolist() for trace in lines(runs, "insertion-rl")] == [[0]]
+    assert [trace.x.tolist() for trace in lines(runs, "insertion-controller")] == [[0, 1000]]
+
+
+def test_controllers_are_one_line_where_they_came_to_the_same(tmp_path):
+    runs = [make_run(tmp_path / n, tau=t) for n, t in (("a", 0.1), ("b", 0.2), ("c", 0.3))]
+    edit(runs[1], env={"robot": "another"})
+    assert [trace.name for trace in lines(runs, "alone")] == ["controller alone"]
+    rows = (runs[2] / "metrics.csv").read_text()
+    (runs[2] / "metrics.csv").write_text(
+        rows.replace("controller_return,-4.8", "controller_return,-3.5")
+    )
+    assert [trace.name for trace in lines(runs, "alone")] == [
+        "controller alone (a, b)",
+        "controller alone (c)",
+    ]
+
+
+def test_only_the_videos_that_do_not_fit_are_left_out(tmp_path, monkeypatch):
+    monkeypatch.setattr(report, "MAX_VIDEO_BYTES", 1000)
+    run = make_run(tmp_path / "run")
+    (run / "videos").mkdir()
+    for name, size in (("a_large.mp4", 1500), ("b_small.mp4", 500)):
+        (run / "videos" / name).write_bytes(bytes(size))
+    source = write_report(find_runs([run]), tmp_path / "page.html").read_text()
+    assert "run: b small" in source.replace("insertion-residual", "run")
+    assert "a_large.mp4" in source
+
+
+def test_a_page_needs_a_file(runs, tmp_path):
+    with pytest.raises(IsADirectoryError, match="expected a file, got a folder"):
+        write_report(find_runs(runs[:1]), tmp_path)
+    assert not list(tmp_path.parent.glob(f".{tmp_path.name}*"))
 
 
 def test_a_run_that_is_not_finished_is_shown_as_far_as_it_is(tmp_path):
@@ -214,11 +206,6 @@ def test_a_run_that_is_not_finished_is_shown_as_far_as_it_is(tmp_path):
     write_report(find_runs([run]), tmp_path / "page.html")
     (run / "metrics.csv").unlink()
     assert "0 of 1000" in write_report(find_runs([run]), tmp_path / "page.html").read_text()
-
-
-def test_runs_of_one_name_are_told_apart_by_their_directories(tmp_path):
-    paths = [make_run(tmp_path / "a" / "1"), make_run(tmp_path / "a" / "2", tau=0.02)]
-    assert [run.label for run in find_runs(paths)] == ["1", "2"]
 
 
 def test_a_curve_is_thinned_by_averages_and_keeps_its_end():

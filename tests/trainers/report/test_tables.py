@@ -44,7 +44,7 @@ def test_one_run_has_wilsons_interval_and_never_one_of_zero_width():
 def test_returns_stand_in_where_there_is_no_success():
     compared = Comparison(episodes(None, returns=-1.5), episodes(None, returns=-4.0))
     (row,) = success_rows(one_run({"own": compared}))
-    assert row[1:3] == ["-4.00", "-1.50 (one run)"]
+    assert row[1:3] == ["-4.00 [-4.00, -4.00]", "-1.50 (one run)"]
     assert row[3].startswith("+2.50")
 
 
@@ -58,6 +58,18 @@ def test_returns_stand_in_where_there_is_no_success():
 )
 def test_bounds_are_rounded_outwards(interval, text):
     assert with_interval(1.0, interval, 100.0) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "interval", "text"),
+    [
+        (np.nan, (np.nan, np.nan), "nan"),
+        (1.0, (np.nan, np.nan), "1.00 (one run)"),
+        (1.0, (-np.inf, np.inf), "1.00 [-inf, inf]"),
+    ],
+)
+def test_what_is_not_finite_is_written_as_it_is(value, interval, text):
+    assert with_interval(value, interval) == text
 
 
 def test_every_reported_quantity_has_mean_and_tail_with_its_unit():
