@@ -35,7 +35,7 @@ __all__ = ["Compose", "Point", "command", "plan_jobs", "plan_points", "run_direc
 Compose = Callable[[Sequence[str]], dict[str, Any]]
 """From overrides of ``rrl train`` to the resolved configuration."""
 
-SOURCE = re.compile(r"run:([A-Za-z0-9_.-]+)")
+SOURCE = re.compile(r"run:([A-Za-z0-9._+=-]+)")
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,7 @@ class Point:
         sources: Points that must be trained first, by the name that the overrides use.
         shown: Whether it is an arm, and not a run that arms start from.
         home: Name of the first point with this key, which the runs' directory has.
+        swept: What the sweep sets, without its section.
     """
 
     experiment: str
@@ -65,6 +66,12 @@ class Point:
     sources: Mapping[str, Point] = field(default_factory=dict, compare=False)
     shown: bool = True
     home: str = ""
+    swept: str = ""
+
+    @property
+    def label(self) -> str:
+        """The arm, and its setting."""
+        return self.arm if self.value is None else f"{self.arm}, {self.swept} = {self.value:g}"
 
     @property
     def name(self) -> str:
@@ -158,7 +165,9 @@ def _points_of(experiment: Experiment, settings: Settings, compose: Compose) -> 
         _check_steps(experiment, config["trainer"])
         _check_metric(experiment, config["env"])
         key, seeds = _key(config, used), tuple(range(experiment.seeds or scale.seeds))
-        return Point(experiment.name, arm, value, key, overrides, config, seeds, used, shown)
+        swept = sweep.name if sweep else ""
+        asked = arm, value, key, overrides, config, seeds, used, shown
+        return Point(experiment.name, *asked, swept=swept)
 
     sources: dict[str, Point] = {}
     for name, overrides in experiment.sources.items():

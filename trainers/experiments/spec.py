@@ -25,6 +25,8 @@ __all__ = [
 Overrides = tuple[str, ...]
 FOLDER = "experiment"
 DEFAULTS = "reproduce.yaml"
+OF_RUNS = {"overrides", "sources", "arms", "tasks", "changes", "sweep", "scales"}
+"""What says which runs there are."""
 
 
 class _Section(BaseModel):
@@ -42,7 +44,12 @@ class Sweep(_Section):
 
     key: str
     label: str
-    values: dict[str, tuple[float, ...]]
+    values: dict[str, tuple[int | float, ...]]
+
+    @property
+    def name(self) -> str:
+        """The key without its section."""
+        return self.key.rpartition(".")[2]
 
 
 class Experiment(_Section):
@@ -108,7 +115,9 @@ class Experiment(_Section):
             raise ValueError("expected tasks and changes, or neither")
         if bool(self.all_arms) == bool(self.runs_of):
             raise ValueError("expected either arms or runs_of")
-        if self.figure == "sweep" and self.sweep is None:
+        if own := sorted(self.model_fields_set.intersection(OF_RUNS)) if self.runs_of else []:
+            raise ValueError(f"expected no {own[0]} beside runs_of, which brings them")
+        if self.figure == "sweep" and not (self.sweep or self.runs_of):
             raise ValueError("figure: sweep needs a sweep")
         if (self.figure == "front") != (self.metric is not None):
             raise ValueError("expected metric with figure: front, and only there")
@@ -127,7 +136,7 @@ class Settings(_Section):
 
     scale: str
     launcher: Literal["local", "ray"]
-    workers: Annotated[int, Field(ge=0)] | None
+    workers: Annotated[int, Field(ge=0, strict=True)] | None
     out: str
     data: str | None = None
     overrides: Overrides = ()
@@ -177,7 +186,7 @@ def load_settings(folders: Sequence[Path], changes: dict[str, Any]) -> Settings:
         ValueError: If keys or values are unknown.
     """
     path = next(folder / DEFAULTS for folder in folders if (folder / DEFAULTS).is_file())
-    values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    values = _content(path)
     changeable = [key for key, value in values.items() if not isinstance(value, (list, dict))]
     if unknown := sorted(set(changes) - set(changeable)):
         choices = ", ".join(changeable)
@@ -186,14 +195,30 @@ def load_settings(folders: Sequence[Path], changes: dict[str, Any]) -> Settings:
 
 
 def _with_runs(experiment: Experiment, other: Experiment) -> Experiment:
-    shared = ("overrides", "sources", "arms", "tasks", "changes", "sweep", "scales")
-    return experiment.model_copy(update={name: getattr(other, name) for name in shared})
+    if other.runs_of:
+        raise ValueError(
+            f"{experiment.name}.runs_of: expected an experiment with arms, got {other.name!r}, "
+            f"whose runs are those of {other.runs_of!r}"
+        )
+    own = experiment.model_dump(exclude={"runs_of", *OF_RUNS}, exclude_unset=True)
+    return _validated(Experiment, own | other.model_dump(include=OF_RUNS), experiment.name)
 
 
 def _read(name: str, path: Path) -> Experiment:
-    return _validated(
-        Experiment, {"name": name, **yaml.safe_load(path.read_text(encoding="utf-8"))}, name
-    )
+    content = _content(path)
+    if "name" in content:
+        raise ValueError(f"{name}.name: unknown key; an experiment is called like its file, {path}")
+    return _validated(Experiment, {"name": name, **content}, name)
+
+
+def _content(path: Path) -> dict[str, Any]:
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except yaml.YAMLError as error:
+        raise ValueError(f"{path}: {' '.join(str(error).split())}") from None
+    if not isinstance(content, dict):
+        raise ValueError(f"{path}: expected keys and values, got {content!r}")
+    return content
 
 
 def _validated(kind: Any, values: Any, name: str) -> Any:

@@ -1,5 +1,7 @@
 """From YAML to runs: shared by configuration, one for every seed, complete for every paper experiment."""
 
+import re
+
 import pytest
 import yaml
 
@@ -91,11 +93,11 @@ def test_a_change_of_configuration_is_another_run_and_a_change_of_logging_is_not
 
 
 def test_what_starts_from_another_run_waits_for_it_and_names_it(points, folders, tmp_path):
-    arms = {"from it": ["arm=rl", "init_from.run=run:first"], "alone": ["arm=rl"]}
+    arms = {"from it": ["arm=rl", "init_from.run=run:first+x"], "alone": ["arm=rl"]}
     content = {
         **EXPERIMENT,
         "figure": "curves",
-        "sources": {"first": ["arm=rl", "env.base.drift=0.0"]},
+        "sources": {"first+x": ["arm=rl", "env.base.drift=0.0"]},
         "arms": arms,
     }
     write(folders[0] / "experiment/chain.yaml", {k: v for k, v in content.items() if k != "sweep"})
@@ -122,6 +124,8 @@ def test_what_starts_from_another_run_waits_for_it_and_names_it(points, folders,
             "expected values for 'tiny'",
         ),
         ({"tasks": {"a": []}}, "expected tasks and changes, or neither"),
+        ({"name": "right"}, "wrong.name: unknown key"),
+        ({"arms": {}, "runs_of": "drift"}, "expected no arms beside runs_of"),
     ],
 )
 def test_a_wrong_experiment_is_explained(change, message, points, folders):
@@ -130,12 +134,39 @@ def test_a_wrong_experiment_is_explained(change, message, points, folders):
         points("wrong")
 
 
+@pytest.mark.parametrize("content", ["", "[a]", "title: [", "\tarms: {}"])
+@pytest.mark.parametrize("name", ["reproduce", "experiment/drift"])
+def test_a_file_that_holds_no_settings_is_named(points, folders, name, content):
+    path = folders[0] / f"{name}.yaml"
+    path.write_text(content)
+    with pytest.raises(ValueError, match=re.escape(str(path))):
+        points()
+
+
+def test_runs_are_those_of_an_experiment_with_arms(points, folders):
+    for name, other in (("view", "drift"), ("again", "view")):
+        content = {"title": "t", "figure": "sweep", "runs_of": other}
+        write(folders[0] / f"experiment/{name}.yaml", content)
+    assert [p.key for p in points("view")] == [p.key for p in points("drift")]
+    with pytest.raises(ValueError, match=r"again.runs_of: expected an experiment with arms"):
+        points("again")
+
+
+def test_whole_numbers_are_swept_as_such(points, folders):
+    sweep = {"key": "trainer.n_step", "label": "n", "values": {"tiny": [1, 3]}}
+    write(folders[0] / "experiment/steps.yaml", {**EXPERIMENT, "sweep": sweep})
+    found = points("steps")
+    assert [repr(p.config["trainer"]["n_step"]) for p in found] == ["1", "3"]
+    assert [p.label for p in found] == ["residual RL, n_step = 1", "residual RL, n_step = 3"]
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"scale": "huge"}, "expected one of tiny, got 'huge'"),
         ({"sclae": "tiny"}, "expected one of scale, launcher, workers, out, data, got"),
         ({"workers": -1}, "workers"),
+        ({"workers": True}, "workers"),
         ({"launcher": "slurm"}, "launcher"),
     ],
 )
