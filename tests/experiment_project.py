@@ -5,6 +5,8 @@ from pathlib import Path
 
 import yaml
 
+from rrl.trainers.experiments.outcomes import Finding
+
 OURS = Path(__file__).parents[1] / "configs"
 TESTS = Path(__file__).parent
 
@@ -74,3 +76,8 @@ def write_project(folder):
     write(folder / "configs/env/point.yaml", ENV)
     write(folder / "configs/reproduce.yaml", SETTINGS)
     write(folder / "configs/experiment/drift.yaml", EXPERIMENT)
+
+
+def finding(*outcomes, name="some"):
+    """An experiment of which these outcomes are all that was planned."""
+    return Finding(name, outcomes, tuple(outcome.point for outcome in outcomes))

@@ -44,7 +44,7 @@ class Verdict:
 
     Attributes:
         claim: The claim.
-        holds: None if runs of its experiment are missing.
+        holds: None if runs of its experiment are missing, or what it needs of them.
         numbers: The numbers that decide.
     """
 
@@ -59,15 +59,17 @@ class Verdict:
 
 
 def judge(findings: Findings) -> list[Verdict]:
-    """Return a verdict on every claim whose experiment is there."""
+    """Return a verdict on every claim whose experiment is there; none on a part of its runs."""
     return [_verdict(c, findings[c.experiment]) for c in CLAIMS if c.experiment in findings]
 
 
 def _verdict(claim: Claim, finding: Finding) -> Verdict:
+    if finding.missing:
+        return Verdict(claim, None, f"finished so far: {finding.missing}")
     try:
         return Verdict(claim, *claim.test(finding))
     except (IndexError, KeyError) as missing:
-        return Verdict(claim, None, f"not all runs are finished ({missing})")
+        return Verdict(claim, None, f"it needs {missing}")
 
 
 CLAIMS: Sequence[Claim] = (

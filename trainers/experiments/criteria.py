@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..evaluation.statistics import mean_interval, success_interval
-from .outcomes import Finding, Outcome
+from ..evaluation.statistics import Interval, mean_interval, success_interval
+from ..report.tables import with_interval
+from .outcomes import SOLVED, Finding, Outcome
 from .spread import variances
 
 RESIDUAL, ALONE = "residual RL", "RL alone"
 SIM_ARM = "residual RL on the policy from simulation"
 LEVEL = 1 / 3
 """A residual is level if it loses at most this share of what the controller loses over a sweep."""
-FEW_STEPS, SOLVED = 1000, 0.9
+FEW_STEPS = 1000
 
 __all__ = [
     "ends_above",
@@ -33,7 +34,7 @@ def learns_faster(finding: Finding) -> tuple[bool, str]:
     residual, alone = (
         finding.arm(arm)[0].curve("return").values.mean(axis=1) for arm in (RESIDUAL, ALONE)
     )
-    low, high = mean_interval(residual)[0], mean_interval(alone)[1]
+    low, high = _interval(residual)[0], _interval(alone)[1]
     return (
         low > high,
         f"mean return over training: residual {_with_interval(residual)}, "
@@ -48,7 +49,7 @@ def ends_above(finding: Finding) -> tuple[bool, str]:
     controller = outcome.final("controller_return")[0]
     text = f"final return: residual {_with_interval(outcome.final('return'))}, "
     text += f"controller {controller:.2f}, gain {_with_interval(gain)}"
-    return mean_interval(gain)[0] > 0, text
+    return _interval(gain)[0] > 0, text
 
 
 def stays_level(finding: Finding) -> tuple[bool, str]:
@@ -98,7 +99,7 @@ def success_grows(finding: Finding) -> tuple[bool, str]:
     text = f"success at step {curve.steps[0]:.0f}: {first.mean():.0%}, "
     text += f"at {curve.steps[-1]:.0f}: {last.mean():.0%} "
     text += f"[{low:.0%}, {high:.0%}]"
-    return bool(last.mean() >= 15 / 20 and mean_interval(last - first)[0] > 0), text
+    return bool(last.mean() >= 15 / 20 and _interval(last - first)[0] > 0), text
 
 
 def learns_under_bias(finding: Finding) -> tuple[bool, str]:
@@ -129,7 +130,7 @@ def explores_wider(finding: Finding) -> tuple[bool, str]:
     residual, alone = (variances(finding.arm(arm)[0]).sum(axis=1) for arm in (RESIDUAL, ALONE))
     text = f"variance of the positions visited [cm^2]: RL alone {_with_interval(alone)}, "
     text += f"residual {_with_interval(residual)}"
-    return mean_interval(alone)[0] > mean_interval(residual)[1], text
+    return _interval(alone)[0] > _interval(residual)[1], text
 
 
 def _ends(finding: Finding) -> tuple[Outcome, Outcome]:
@@ -167,6 +168,13 @@ def _steps_text(outcome: Outcome) -> str:
     return f"{'not reached' if steps is None else steps} (from {start:.0%})"
 
 
+def _interval(values: np.ndarray) -> Interval:
+    """The interval of a mean over seeds, without which a claim cannot be tested."""
+    interval = mean_interval(values)
+    if np.isnan(interval).any():
+        raise IndexError("at least two seeds, and numbers from all of them")
+    return interval
+
+
 def _with_interval(values: np.ndarray) -> str:
-    low, high = mean_interval(values)
-    return f"{values.mean():.2f} [{low:.2f}, {high:.2f}]"
+    return with_interval(float(values.mean()), _interval(values))

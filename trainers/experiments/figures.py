@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +11,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ..evaluation.entries import ACCEPTED, CONTROLLER
 from ..evaluation.statistics import mean_interval
-from ..report.learning_curve import ACCEPTED_COLOR, CONTROLLER_COLOR, RESIDUAL_COLOR
+from ..report.curves import alike, view
+from ..report.learning_curve import ACCEPTED_COLOR, CONTROLLER_COLOR, RESIDUAL_COLOR, draw_mean
 from .front import SHOWN, draw_front
 from .looks import COLORS, MARKERS, PANELS
-from .outcomes import Finding, Outcome
+from .outcomes import ALONE, Finding, Outcome, controllers
 from .spec import Experiment
 from .spread import variances
-from .tables import interval_of, success_rows
+from .tables import interval_of, outcome_rows
 
 __all__ = ["draw"]
 
@@ -39,43 +41,58 @@ def draw(experiment: Experiment, finding: Finding, folder: Path) -> Path:
 
 
 def _curves(experiment: Experiment, finding: Finding) -> Figure:
-    figure, axes = _panels(experiment, finding)
-    for axis, (entry, _, unit) in zip(axes, PANELS, strict=False):
+    figure, panels = _panels(finding)
+    for axis, (entry, _, unit) in panels:
         for i, outcome in enumerate(finding.outcomes):
             if outcome.follows(entry):
-                label = _label(experiment, outcome)
-                _band(axis, outcome, entry, unit, COLORS[i % len(COLORS)], label)
+                _band(axis, outcome, entry, unit, COLORS[i % len(COLORS)], outcome.point.label)
         _controllers(axis, finding, entry, unit)
         axis.set_xlabel("environment steps of one seed")
-    _finish(figure, axes, experiment, finding)
+    _finish(figure, experiment, finding)
     return figure
 
 
 def _controllers(axis: Axes, finding: Finding, entry: str, unit: float) -> None:
     """Draw the controllers alone, dashed: several in the colors of what learns on top of them."""
-    level = f"controller_{entry}"
+    level = CONTROLLER + entry
     having = [i for i, o in enumerate(finding.outcomes) if not o.acts_alone and o.follows(level)]
-    for n, i in enumerate(having):
-        curve = finding.outcomes[i].curve(level)
-        color = CONTROLLER_COLOR if len(having) == 1 else COLORS[i % len(COLORS)]
-        label = "controller alone" if len(having) == 1 else "the controller below it alone"
+    curves = {i: finding.outcomes[i].curve(level) for i in having}
+    same = alike(having, lambda i: frozenset(curves[i].values.ravel()))
+    for n, of_one in enumerate(same):
+        curve = max((curves[i] for i in of_one), key=lambda curve: curve.steps[-1])
+        color = CONTROLLER_COLOR if len(same) == 1 else COLORS[of_one[0] % len(COLORS)]
+        label = ALONE if len(same) == 1 else "the controller below it alone"
         shown = label if n == 0 else None
         axis.plot(curve.steps, unit * curve.mean, "--", color=color, lw=1.4, label=shown)
 
 
 def _sweep(experiment: Experiment, finding: Finding) -> Figure:
     assert experiment.sweep is not None
-    figure, axes = _panels(experiment, finding)
-    for axis, (entry, _, unit) in zip(axes, PANELS, strict=False):
-        for i, arm in enumerate(finding.arms):
-            _errors(axis, finding.arm(arm), entry, unit, arm, color=COLORS[i], marker=MARKERS[i])
-        first = finding.arm(finding.arms[0])
-        look = {"color": CONTROLLER_COLOR, "marker": "s", "linestyle": "--"}
-        _errors(axis, first, f"controller_{entry}", unit, "controller alone", **look)
+    figure, panels = _panels(finding)
+    colors = {arm: COLORS[i % len(COLORS)] for i, arm in enumerate(finding.arms)}
+    for axis, (entry, _, unit) in panels:
+        arms = {arm: finding.arm(arm) for arm in finding.arms}
+        arms = {arm: found for arm, found in arms.items() if all(o.knows(entry) for o in found)}
+        for arm, found in arms.items():
+            marker = MARKERS[finding.arms.index(arm) % len(MARKERS)]
+            _errors(axis, found, entry, unit, arm, color=colors[arm], marker=marker)
+        for name, arm in controllers(_levels(arms, CONTROLLER + entry)).items():
+            color = CONTROLLER_COLOR if name == ALONE else colors[arm]
+            look = {"color": color, "marker": "s", "linestyle": "--"}
+            _errors(axis, arms[arm], CONTROLLER + entry, unit, name, **look)
         axis.set_xlabel(experiment.sweep.label)
         axis.set_ylabel(f"final {axis.get_ylabel()}")
-    _finish(figure, axes, experiment, finding)
+    _finish(figure, experiment, finding)
     return figure
+
+
+def _levels(arms: Mapping[str, Sequence[Outcome]], entry: str) -> dict[str, tuple[float, ...]]:
+    """What the controller came to at every setting, by arm."""
+    having = {arm: found for arm, found in arms.items() if not found[0].acts_alone}
+    return {
+        arm: tuple(float(outcome.final(entry)[0]) for outcome in found)
+        for arm, found in having.items()
+    }
 
 
 def _spread(experiment: Experiment, finding: Finding) -> Figure:
@@ -91,9 +108,9 @@ def _spread(experiment: Experiment, finding: Finding) -> Figure:
         error = np.nan_to_num([mean - np.maximum(low, 0.0), high - mean])
         look: dict[str, Any] = {
             "capsize": 3,
-            "color": COLORS[i],
+            "color": COLORS[i % len(COLORS)],
             "alpha": 0.75,
-            "label": outcome.point.arm,
+            "label": outcome.point.label,
         }
         axis.bar(at, mean, 0.9 * width, yerr=error, **look)
         for row in values:
@@ -101,12 +118,12 @@ def _spread(experiment: Experiment, finding: Finding) -> Figure:
     axis.set_xticks(range(4), ["x", "y", "z", "sum"])
     axis.set_xlabel("direction")
     axis.set_ylabel("variance of the end effector's positions [cm²]")
-    _finish(figure, [axis], experiment, finding)
+    _finish(figure, experiment, finding)
     return figure
 
 
 def _table(experiment: Experiment, finding: Finding) -> Figure:
-    header, rows = success_rows(experiment, finding)
+    header, rows = outcome_rows(experiment, finding)
     figure = Figure(figsize=(11.0, 1.1 + 0.4 * len(rows)), layout="constrained")
     axis = figure.subplots()
     axis.axis("off")
@@ -135,32 +152,27 @@ def _tasks(experiment: Experiment, finding: Finding) -> Figure:
     for axis, outcome in zip(axes, finding.outcomes, strict=False):
         entry, label, unit = next(panel for panel in PANELS if outcome.knows(panel[0]))
         _band(axis, outcome, entry, unit, RESIDUAL_COLOR, "latest policy")
-        _level(axis, outcome, f"controller_{entry}", unit, "--", CONTROLLER_COLOR, "controller")
-        if outcome.follows(f"accepted_{entry}"):
-            _level(axis, outcome, f"accepted_{entry}", unit, ":", ACCEPTED_COLOR, "handed over")
-        axis.set_title(textwrap.fill(outcome.point.arm, 38), fontsize=9)
+        if not outcome.acts_alone:
+            _level(axis, outcome, CONTROLLER + entry, unit, "--", CONTROLLER_COLOR, "controller")
+        if outcome.follows(ACCEPTED + entry):
+            _level(axis, outcome, ACCEPTED + entry, unit, ":", ACCEPTED_COLOR, "handed over")
+        axis.set_title(textwrap.fill(outcome.point.label, 38), fontsize=9)
         axis.set_ylabel(label, fontsize=8)
         axis.tick_params(labelsize=8)
-        axis.set_ylim(*((-3, 103) if entry == "success" else _view(axis)))
+        lines = [np.asarray(line.get_ydata(), dtype=float) for line in axis.get_lines()]
+        axis.set_ylim(*((-3, 103) if entry == "success" else view(lines, 0.25)))
     for axis in axes[count:]:
         axis.axis("off")
     for axis in axes[count - columns : count]:
         axis.set_xlabel("environment steps of one seed", fontsize=8)
-    _finish(figure, axes, experiment, finding)
+    _finish(figure, experiment, finding)
     return figure
 
 
 def _front(experiment: Experiment, finding: Finding) -> Figure:
-    figure, axes = draw_front(experiment, finding)
-    _finish(figure, axes, experiment, finding, SHOWN)
+    figure = draw_front(experiment, finding)
+    _finish(figure, experiment, finding, SHOWN)
     return figure
-
-
-def _view(axis: Axes) -> tuple[float, float]:
-    """Return limits that hold all lines, but not all of a band that few runs leave wide."""
-    lines = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in axis.get_lines()])
-    room = 0.25 * float(np.ptp(lines)) or 0.1 * abs(float(lines[0])) or 1.0
-    return float(lines.min()) - room, float(lines.max()) + room
 
 
 def _level(
@@ -170,7 +182,8 @@ def _level(
     axis.plot(curve.steps, unit * curve.mean, style, color=color, lw=1.8, label=label)
 
 
-def _panels(experiment: Experiment, finding: Finding) -> tuple[Figure, list[Axes]]:
+def _panels(finding: Finding) -> tuple[Figure, list[tuple[Axes, tuple[str, str, float]]]]:
+    """Return axes for what any of the arms reports: entry, title and unit."""
     known = [p for p in PANELS if any(outcome.knows(p[0]) for outcome in finding.outcomes)]
     figure = Figure(figsize=(5.6 * len(known), 4.2), layout="constrained")
     axes = list(np.atleast_1d(figure.subplots(1, len(known))))
@@ -178,39 +191,30 @@ def _panels(experiment: Experiment, finding: Finding) -> tuple[Figure, list[Axes
         axis.set_ylabel(label)
         if entry == "success":
             axis.set_ylim(-3, 103)
-    return figure, axes
+    return figure, list(zip(axes, known, strict=True))
 
 
 def _finish(
-    figure: Figure,
-    axes: Sequence[Axes],
-    experiment: Experiment,
-    finding: Finding,
-    shown: str = INTERVAL,
+    figure: Figure, experiment: Experiment, finding: Finding, shown: str = INTERVAL
 ) -> None:
-    for axis in axes:
+    named: dict[str, Any] = {}
+    for axis in figure.axes:
         axis.grid(alpha=0.25)
         axis.spines[["top", "right"]].set_visible(False)
-    handles, labels = axes[0].get_legend_handles_labels()
+        handles, labels = axis.get_legend_handles_labels()
+        named = dict(zip(labels, handles, strict=True)) | named
     look: dict[str, Any] = {"loc": "outside lower center", "frameon": False, "fontsize": 9}
-    figure.legend(handles, labels, ncols=min(3, len(labels)), **look)
+    figure.legend(list(named.values()), list(named), ncols=min(3, len(named)), **look)
     counts = sorted({len(outcome.runs) for outcome in finding.outcomes})
     seeds = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
     title = f"{experiment.heading}\n{seeds} seeds, {shown}"
     figure.suptitle(title, fontsize=10)
 
 
-def _label(experiment: Experiment, outcome: Outcome) -> str:
-    arm, sweep = outcome.point.arm, experiment.sweep
-    return f"{arm}, {sweep.key.rpartition('.')[2]} = {outcome.point.value:g}" if sweep else arm
-
-
 def _band(axis: Axes, outcome: Outcome, entry: str, unit: float, color: str, label: str) -> None:
     curve = outcome.curve(entry)
-    if band := curve.band(outcome.followed_episodes if entry == "success" else None):
-        low, high = (unit * bound for bound in band)
-        axis.fill_between(curve.steps, low, high, color=color, alpha=0.18, linewidth=0)
-    axis.plot(curve.steps, unit * curve.mean, color=color, lw=2, label=label)
+    band = curve.band(outcome.followed_episodes if entry == "success" else None)
+    draw_mean(axis, curve, band, unit, color, label)
 
 
 def _errors(
@@ -219,7 +223,7 @@ def _errors(
     """Draw final values over the sweep; the controller's are the same for every seed."""
     mean = np.array([outcome.final(entry).mean() for outcome in outcomes])
     low, high = mean, mean
-    if not entry.startswith("controller"):
+    if not entry.startswith(CONTROLLER):
         low, high = np.array([interval_of(outcome, entry) for outcome in outcomes]).T
     at = [outcome.point.value or 0.0 for outcome in outcomes]
     error = unit * np.nan_to_num(np.maximum(0.0, [mean - low, high - mean]))

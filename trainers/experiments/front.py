@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,10 +13,10 @@ from rrl.keys import METRICS
 
 from ..evaluation.entries import CONTROLLER
 from ..report.learning_curve import CONTROLLER_COLOR
-from ..report.panels import ABOVE, quantity_title
+from ..report.panels import ABOVE, Declared, agreed, quantity_title
 from ..report.tables import with_interval
 from .looks import COLORS, MARKERS, PANELS
-from .outcomes import Finding, Outcome
+from .outcomes import ALONE, Finding, Outcome, controllers
 from .spec import Experiment
 from .tables import Table, interval_of
 
@@ -31,30 +31,32 @@ SHOWN = (
 """What the figure's marks are."""
 
 
-def draw_front(experiment: Experiment, finding: Finding) -> tuple[Figure, list[Axes]]:
+def draw_front(experiment: Experiment, finding: Finding) -> Figure:
     """Draw a panel for every scenario: success over the mean of ``experiment.metric``.
 
     Return stands in for success where the environment reports none. See :data:`SHOWN`.
     """
     quantity, first = f"{METRICS}/{experiment.metric}", finding.outcomes[0]
+    declared, alone = _declared(experiment, finding), _controllers(finding, quantity)
     _, label, unit = _reached(first)
-    title = quantity_title(quantity, _declared(experiment, first))
-    limit = _declared(experiment, first)[str(experiment.metric)].get("limit")
+    limit = declared[str(experiment.metric)].get("limit")
     figure = Figure(figsize=(5.6 * len(first.scenarios), 4.8), layout="constrained")
     axes = list(figure.subplots(1, len(first.scenarios), squeeze=False)[0])
     for axis, scenario in zip(axes, first.scenarios, strict=True):
-        _controller(axis, first, scenario, quantity)
         for i, outcome in enumerate(finding.outcomes):
-            look = {"color": COLORS[i % len(COLORS)], "marker": MARKERS[i % len(MARKERS)]}
+            color = COLORS[i % len(COLORS)]
+            look = {"color": color, "marker": MARKERS[i % len(MARKERS)]}
+            for name in [name for name, below in alone.items() if below is outcome]:
+                _controller(axis, outcome, scenario, quantity, name, color)
             _point(axis, outcome, scenario, quantity, look)
         if limit is not None:
             axis.axvline(limit, color="#999999", lw=1, label="limit of single episodes")
-        axis.set(title=scenario, xlabel=title, ylabel=label)
+        axis.set(title=scenario, xlabel=quantity_title(quantity, declared), ylabel=label)
         if axis.dataLim.x0 >= 0.0:
             axis.set_xlim(left=0.0)
         if unit == 100.0:
             axis.set_ylim(-3, 103)
-    return figure, axes
+    return figure
 
 
 def front_rows(experiment: Experiment, finding: Finding) -> Table:
@@ -64,16 +66,29 @@ def front_rows(experiment: Experiment, finding: Finding) -> Table:
     """
     quantity, first = f"{METRICS}/{experiment.metric}", finding.outcomes[0]
     shown = [e for e in (quantity, quantity + HIGH, quantity + LIMIT) if first.knows(e)]
-    titles = [quantity_title(e, _declared(experiment, first)) for e in shown]
-    reached, label, unit = _reached(first)
+    declared = _declared(experiment, finding)
+    titles = [quantity_title(e, declared) for e in shown]
+    reached, label, _ = _reached(first)
     rows = []
     for scenario in first.scenarios:
-        alone = [first.final(CONTROLLER + entry, scenario)[0] for entry in (reached, *shown)]
-        units = [unit, *map(_unit, shown)]
-        cells = [f"{u * value:.1f}" for value, u in zip(alone, units, strict=True)]
-        rows.append([scenario, "controller alone", "", *cells])
+        for name, below in _controllers(finding, quantity).items():
+            cells = _alone(below, scenario, (reached, *shown))
+            rows.append([scenario, name, "", *(f"{cell:.1f}" for cell in cells)])
         rows += [_row(outcome, scenario, reached, shown) for outcome in finding.outcomes]
     return ["scenario", "arm", "seeds", label, *titles], rows
+
+
+def _controllers(finding: Finding, quantity: str) -> dict[str, Outcome]:
+    """The controllers whose marks differ, by name, each with the first arm that it is below."""
+    below = {outcome.point.label: outcome for outcome in finding.outcomes if not outcome.acts_alone}
+    values = {label: _marks(outcome, quantity) for label, outcome in below.items()}
+    return {name: below[label] for name, label in controllers(values).items()}
+
+
+def _marks(outcome: Outcome, quantity: str) -> tuple[float, ...]:
+    """What the controller came to in all scenarios."""
+    entries = _entries(outcome, quantity)
+    return tuple(value for s in outcome.scenarios for value in _alone(outcome, s, entries))
 
 
 def _row(outcome: Outcome, scenario: str, reached: str, shown: Sequence[str]) -> list[str]:
@@ -84,7 +99,7 @@ def _row(outcome: Outcome, scenario: str, reached: str, shown: Sequence[str]) ->
     cells = [with_interval(mean, interval, _unit(reached))]
     for values in (outcome.final(entry, scenario) * _unit(entry) for entry in shown):
         cells.append(f"{values.mean():.1f} ({values.min():.1f} to {values.max():.1f})")
-    return [scenario, outcome.point.arm, str(len(outcome.runs)), *cells]
+    return [scenario, outcome.point.label, str(len(outcome.runs)), *cells]
 
 
 def _point(
@@ -96,17 +111,28 @@ def _point(
     at, height = values.mean(), each.mean()
     low, high = (unit * bound for bound in interval_of(outcome, reached, scenario))
     along = np.nan_to_num(np.maximum(0.0, [[height - low], [high - height]]))
-    axis.errorbar(at, height, along, label=outcome.point.arm, capsize=3, ms=8, ls="", **look)
+    axis.errorbar(at, height, along, label=outcome.point.label, capsize=3, ms=8, ls="", **look)
     _tail(axis, at, outcome.final(quantity + HIGH, scenario).mean(), height, look["color"])
 
 
-def _controller(axis: Axes, outcome: Outcome, scenario: str, quantity: str) -> None:
-    reached, _, unit = _reached(outcome)
-    names = (quantity, quantity + HIGH, reached)
-    at, high, height = (outcome.final(CONTROLLER + name, scenario)[0] for name in names)
-    look: dict[str, Any] = {"color": CONTROLLER_COLOR, "marker": "*", "ms": 12, "ls": ""}
-    axis.plot(at, unit * height, label="controller alone", **look)
-    _tail(axis, at, high, unit * height, CONTROLLER_COLOR)
+def _controller(
+    axis: Axes, below: Outcome, scenario: str, quantity: str, name: str, color: str
+) -> None:
+    """Draw a controller alone; one of a few arms only in the color of the first of them."""
+    color = CONTROLLER_COLOR if name == ALONE else color
+    height, at, high = _alone(below, scenario, _entries(below, quantity))
+    axis.plot(at, height, "*", color=color, ms=12, label=name)
+    _tail(axis, at, high, height, color)
+
+
+def _entries(outcome: Outcome, quantity: str) -> tuple[str, ...]:
+    """What a mark shows: its height, its place and the end of its tail."""
+    return _reached(outcome)[0], quantity, quantity + HIGH
+
+
+def _alone(outcome: Outcome, scenario: str, entries: Sequence[str]) -> list[float]:
+    """What the controller came to, as it is shown."""
+    return [_unit(e) * float(outcome.final(CONTROLLER + e, scenario)[0]) for e in entries]
 
 
 def _tail(axis: Axes, at: float, high: float, height: float, color: str) -> None:
@@ -119,9 +145,10 @@ def _reached(outcome: Outcome) -> tuple[str, str, float]:
     return next(panel for panel in PANELS if outcome.knows(panel[0]))
 
 
-def _declared(experiment: Experiment, outcome: Outcome) -> Mapping[str, Mapping[str, Any]]:
-    """What the configuration says of the metric: unit, limit."""
-    return {str(experiment.metric): outcome.point.config["env"]["metrics"][experiment.metric]}
+def _declared(experiment: Experiment, finding: Finding) -> Declared:
+    """What all configurations say of the metric: unit, limit."""
+    name = str(experiment.metric)
+    return agreed({name: o.point.config["env"]["metrics"][name]} for o in finding.outcomes)
 
 
 def _unit(entry: str) -> float:

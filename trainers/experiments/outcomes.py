@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,13 +13,17 @@ from numpy.typing import NDArray
 from ..evaluation.statistics import success_interval
 from ..launch.job import Job
 from ..loggers import metrics
-from ..report.curves import Curve, curve
+from ..report.curves import Curve, alike, curve
 from ..report.runs import Run
 from .plan import Point, run_directory
 
-__all__ = ["Counts", "Finding", "Findings", "Outcome", "gather"]
+__all__ = ["ALONE", "SOLVED", "Counts", "Finding", "Findings", "Outcome", "controllers", "gather"]
 
 Floats = NDArray[np.float64]
+
+ALONE = "controller alone"
+SOLVED = 0.9
+"""Success of the followed episodes that counts as having learned the task."""
 
 
 @dataclass(frozen=True)
@@ -96,9 +100,9 @@ class Outcome:
         solved = round(self.final("controller_success", scenario)[0] * self.episodes)
         return Counts((solved,), self.episodes)
 
-    def knows(self, entry: str) -> bool:
-        """Return whether the final evaluation has that entry."""
-        return all(entry in run.summary() for run in self.runs)
+    def knows(self, entry: str, scenario: str | None = None) -> bool:
+        """Return whether the final evaluation has that entry; None: in the followed scenario."""
+        return all(entry in run.summary(scenario) for run in self.runs)
 
     def follows(self, entry: str) -> bool:
         """Return whether the evaluations during training have that entry."""
@@ -122,10 +126,28 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Finding:
-    """An experiment with what there is of its outcomes, in the order of its arms and settings."""
+    """An experiment with what there is of its outcomes, in the order of its arms and settings.
+
+    Attributes:
+        name: Of the experiment.
+        outcomes: One for each point that has a finished run.
+        planned: All points, but those that arms start from.
+    """
 
     name: str
     outcomes: tuple[Outcome, ...]
+    planned: tuple[Point, ...]
+
+    @property
+    def missing(self) -> str:
+        """Which points lack seeds, by how many they have; empty where all runs are finished."""
+        runs = {outcome.point.name: len(outcome.runs) for outcome in self.outcomes}
+        few: dict[str, list[str]] = {}
+        for point in self.planned:
+            count, asked = runs.get(point.name, 0), len(point.seeds)
+            if count < asked:
+                few.setdefault(f"{count} of {asked} seeds", []).append(point.label)
+        return "; ".join(f"{count} of {', '.join(labels)}" for count, labels in sorted(few.items()))
 
     def arm(self, name: str) -> list[Outcome]:
         """Return the outcomes of one arm, by setting."""
@@ -142,12 +164,28 @@ Findings = Mapping[str, Finding]
 
 
 def gather(points: Sequence[Point], done: Sequence[Job], out: Path) -> Findings:
-    """Read the runs that are done; points without one are left out, and so are sources."""
+    """Read the runs that are done; experiments without one are left out."""
     names = {job.path: job.name for job in done}
-    found: dict[str, list[Outcome]] = {point.experiment: [] for point in points}
-    for point in points if names else ():
+    planned: dict[str, list[Point]] = {}
+    found: dict[str, list[Outcome]] = {}
+    for point in [point for point in points if point.shown and names]:
+        planned.setdefault(point.experiment, []).append(point)
         paths = [run_directory(point, seed, out) for seed in point.seeds]
-        runs = tuple(Run(path, names[path]) for path in paths if path in names)
-        if runs and point.shown:
-            found[point.experiment].append(Outcome(point, runs))
-    return {name: Finding(name, tuple(o)) for name, o in found.items() if o}
+        if runs := tuple(Run(path, names[path]) for path in paths if path in names):
+            found.setdefault(point.experiment, []).append(Outcome(point, runs))
+    return {name: Finding(name, tuple(o), tuple(planned[name])) for name, o in found.items()}
+
+
+def controllers(values: Mapping[str, Hashable]) -> dict[str, str]:
+    """Tell the controllers alone apart by what they came to.
+
+    Args:
+        values: What the controller came to, by the name of what learns on it.
+
+    Returns:
+        Every controller's name, and the first of what learns on it. A controller is named after
+        all of that, but for the one that is below most.
+    """
+    same = alike(values, values.__getitem__)
+    of = [f", {', '.join(names)}" if 2 * len(names) <= len(values) else "" for names in same]
+    return {ALONE + o: names[0] for o, names in zip(of, same, strict=True)}

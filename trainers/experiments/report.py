@@ -8,6 +8,7 @@ from pathlib import Path
 
 import yaml
 
+from ..launch.job import Job
 from ..launch.pool import Ending
 from ..report.markdown import MarkdownPage
 from ..report.page import Page
@@ -18,7 +19,7 @@ from .plan import command
 from .sections import STATISTICS, add_claims, add_experiment
 from .spec import Experiment, Settings
 
-__all__ = ["Shown", "write_report", "write_results"]
+__all__ = ["Shown", "write_experiments", "write_results"]
 
 TITLE = "Residual reinforcement learning for robot control: the experiments again"
 
@@ -33,6 +34,7 @@ class Shown:
         figures: Their PNG files, each with an SVG beside it.
         verdicts: On the paper's claims.
         settings: Of the command.
+        ending: What became of the runs.
     """
 
     experiments: Sequence[Experiment]
@@ -40,6 +42,7 @@ class Shown:
     figures: Mapping[str, Path]
     verdicts: Sequence[Verdict]
     settings: Settings
+    ending: Ending
 
     @property
     def introduction(self) -> str:
@@ -49,11 +52,10 @@ class Shown:
         return f"Scale `{self.settings.scale}`: {seeds} seeds, each a run of its own. {STATISTICS}"
 
 
-def write_report(
+def write_experiments(
     shown: Shown,
     video: Path | None,
     clips: Mapping[str, Sequence[tuple[Path, str]]],
-    ending: Ending,
     out: Path,
 ) -> Path:
     """Write the HTML file ``out``: also videos, failures, configurations; figures enter as SVG.
@@ -62,10 +64,9 @@ def write_report(
         shown: What is shown.
         video: Of one rescued episode.
         clips: By experiment, videos of its tasks and what they show.
-        ending: What became of the runs.
         out: The file.
     """
-    page, scale = Page(TITLE), shown.settings.scale
+    page = Page(TITLE)
     page.text(shown.introduction)
     if shown.verdicts:
         add_claims(page, shown.verdicts)
@@ -75,10 +76,11 @@ def write_report(
         page.video(video, text)
     for experiment in shown.experiments:
         page.section(experiment.heading)
-        figure = shown.figures[experiment.name].with_suffix(".svg")
-        add_experiment(page, experiment, shown.findings[experiment.name], figure, scale)
+        _add(page, shown, experiment)
         _clips(page, experiment, clips.get(experiment.name, ()))
-    _failures(page, ending)
+    _failures(page, shown.ending)
+    for job in shown.ending.failed:
+        page.details(job.name, job.log_tail(60))
     _configurations(page, shown, out.parent)
     page.section("Versions")
     page.table(["package", "version"], [[name, version] for name, version in versions().items()])
@@ -98,12 +100,23 @@ def write_results(shown: Shown, out: Path) -> Path:
     for experiment in shown.experiments:
         if not alone:
             page.section(experiment.heading)
-        figure = shown.figures[experiment.name].relative_to(out.parent)
-        finding = shown.findings[experiment.name]
-        add_experiment(page, experiment, finding, figure, shown.settings.scale)
+        _add(page, shown, experiment, out.parent)
+    _failures(page, shown.ending)
     page.section("Versions")
     page.text(_versions_of_runs(shown))
     return page.write(out)
+
+
+def _add(
+    page: Page | MarkdownPage, shown: Shown, experiment: Experiment, beside: Path | None = None
+) -> None:
+    """Add an experiment: its figure as SVG, or as PNG by the way to it from the page's folder."""
+    if (finding := shown.findings.get(experiment.name)) is None:
+        page.text("No run is finished yet.")
+        return
+    png = shown.figures[experiment.name]
+    figure = png.relative_to(beside) if beside else png.with_suffix(".svg")
+    add_experiment(page, experiment, finding, figure, shown.settings.scale)
 
 
 def _versions_of_runs(shown: Shown) -> str:
@@ -127,19 +140,23 @@ def _clips(page: Page, experiment: Experiment, clips: Sequence[tuple[Path, str]]
     page.videos(clips)
 
 
-def _failures(page: Page, ending: Ending) -> None:
+def _failures(page: Page | MarkdownPage, ending: Ending) -> None:
     if ending.failed or ending.blocked:
         page.section("Runs that failed")
-    for job in ending.failed:
-        page.details(job.name, job.log_tail(60))
-    for job in ending.blocked:
-        page.text(f"`{job.name}` was not started: it needs {', '.join(map(str, job.needs))}.")
+    if ending.failed:
+        page.text(f"Failed: {_names(ending.failed)}.")
+    if ending.blocked:
+        page.text(f"Not started, as they need one that failed: {_names(ending.blocked)}.")
+
+
+def _names(jobs: Sequence[Job]) -> str:
+    return ", ".join(f"`{job.name}`" for job in jobs)
 
 
 def _configurations(page: Page, shown: Shown, out: Path) -> None:
     page.section("Configurations")
     page.text("Each run can be made again alone, with the command that stands first.")
-    outcomes = [o for e in shown.experiments for o in shown.findings[e.name].outcomes]
+    outcomes = [o for finding in shown.findings.values() for o in finding.outcomes]
     for outcome in {outcome.point.key: outcome for outcome in outcomes}.values():
         run = outcome.runs[0]
         again = command(outcome.point, run.config["trainer"]["seed"], out)

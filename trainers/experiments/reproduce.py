@@ -20,7 +20,7 @@ from .figures import draw
 from .numbers import write_numbers
 from .outcomes import Finding, gather
 from .plan import Compose, Point, plan_jobs, plan_points
-from .report import Shown, write_report, write_results
+from .report import Shown, write_experiments, write_results
 from .spec import Experiment, Settings, load_experiments, load_settings
 from .standing import HEADER, standing_row
 from .video import rescue_video, task_videos
@@ -77,9 +77,20 @@ def _run(jobs: Sequence[Job], settings: Settings, console: Output, again: str) -
     if settings.data is None:
         return launch(*arguments)
     data = Path(settings.data).expanduser().resolve()
+    if data.exists() and not data.is_dir():
+        raise ValueError(f"data: expected a folder, got the file {data}")
+    data.mkdir(parents=True, exist_ok=True)
     taken = take(jobs, data)
     console.say(f"{len(taken)} runs are taken from {data}, without what they learned")
-    return launch(*arguments, partial(keep, data=data))
+    return launch(*arguments, partial(_keep, data=data, console=console))
+
+
+def _keep(job: Job, data: Path, console: Output) -> None:
+    """Keep a run; where that fails the others go on, and the store has the run."""
+    try:
+        keep(job, data)
+    except (OSError, ValueError, KeyError) as error:
+        console.say(f"{job.name} is not kept in {data}: {error!r}", style="yellow")
 
 
 def _show(
@@ -105,8 +116,8 @@ def _show(
         console.print(_verdict_table(verdicts))
     for experiment in tasks:
         console.print(_task_table(experiment, findings[experiment.name]))
-    shown = Shown(known, findings, figures, verdicts, settings)
-    pages = [write_report(shown, video, clips, ending, report)]
+    shown = Shown(experiments, findings, figures, verdicts, settings, ending)
+    pages = [write_experiments(shown, video, clips, report)]
     if known:
         name = report.stem.replace("report", "results", 1)
         pages.insert(0, write_results(shown, report.with_name(f"{name}.md")))

@@ -12,7 +12,7 @@ from .front import front_rows
 from .outcomes import Finding
 from .spec import Experiment
 from .standing import HEADER, READING, standing_row
-from .tables import effort, final_rows, followed_rows, overall_iqm, steps_rows, success_rows
+from .tables import effort, final_rows, followed_rows, outcome_rows, overall_iqm, steps_rows
 
 __all__ = ["STATISTICS", "add_claims", "add_experiment"]
 
@@ -20,7 +20,7 @@ STATISTICS = (
     "Every number is from frozen episodes without exploration, the same for every seed and arm; "
     "the controller alone runs the same episodes. Means are over seeds with Student's t interval; "
     "intervals of success count seeds, not episodes, as independent; IQM is the interquartile mean "
-    "with a stratified bootstrap."
+    "with a stratified bootstrap, which of three seeds is their mean."
 )
 CLAIMS_HEADER = ["claim", "the paper", "verdict", "numbers", "criterion"]
 
@@ -52,12 +52,12 @@ def _tables(page: Page | MarkdownPage, experiment: Experiment, finding: Finding)
     first = finding.outcomes[0]
     page.table(*final_rows(experiment, finding))
     if experiment.figure == "curves" and first.follows("success"):
-        page.table(*steps_rows(finding))
+        page.table(*steps_rows(experiment, finding))
     if experiment.evaluated_at:
         page.table(*followed_rows(experiment, finding))
     in_detail = experiment.figure in ("table", "sweep") or len(first.scenarios) > 1
     if first.knows("success") and in_detail:
-        page.table(*success_rows(experiment, finding))
+        page.table(*outcome_rows(experiment, finding))
     for arm in finding.arms if experiment.sweep else ():
         outcomes = finding.arm(arm)
         known = [entry for entry in ("return", "success") if outcomes[0].knows(entry)]

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..evaluation.statistics import Interval, mean_interval, success_interval, wilson
+from ..evaluation.entries import ACCEPTED, CONTROLLER
+from ..evaluation.statistics import Interval
 from ..loggers import metrics
-from ..report.notes import ACCEPTED
 from ..report.runs import Run
-from ..report.tables import gain, handed_over, with_interval
+from ..report.tables import gain, handed_over, success_cells
 from .outcomes import Outcome
 
 __all__ = ["HEADER", "READING", "Standing", "standing", "standing_row"]
@@ -36,7 +36,7 @@ READING = (
     "every run during training, and on the final episodes in the mean of the runs, what is handed "
     "over is at most the allowed difference below the controller (see `trainer.acceptance.margin`; "
     "of returns it is a share of the range of the controller's). Better: beyond that the interval "
-    "of the final gain is above zero."
+    "of the final gain is above zero. Unknown: one of these returns is not a number."
 )
 """How the rows are to be read."""
 
@@ -62,7 +62,9 @@ class Standing:
 
     @property
     def verdict(self) -> str:
-        """``better``, ``not worse`` or ``worse``."""
+        """``better``, ``not worse``, ``worse``, or ``unknown`` where a return is not a number."""
+        if math.isnan(self.least + self.gain + self.margin):
+            return "unknown"
         if min(self.least, self.gain) < -self.margin:
             return "worse"
         return "better" if self.interval[0] > 0 else "not worse"
@@ -77,9 +79,9 @@ def standing(outcome: Outcome) -> Standing:
     entry = "success" if outcome.knows("success") else "return"
     records = [handed_over(run.results[outcome.followed]) for run in outcome.runs]
     share = float(outcome.point.config["trainer"]["acceptance"]["margin"])
-    alone = [record["episodes"][f"controller_{entry}"] for record in records]
+    alone = [record["episodes"][CONTROLLER + entry] for record in records]
     scale = 1.0 if entry == "success" else float(np.ptp(np.array(alone, dtype=float)))
-    least = min(change for run in outcome.runs for change in _changes(run, entry))
+    least = float(np.min([change for run in outcome.runs for change in _changes(run, entry)]))
     return Standing(entry, share * scale, *gain(records), least)
 
 
@@ -87,42 +89,25 @@ def standing_row(outcome: Outcome) -> list[str]:
     """Return an arm's row for ``HEADER``."""
     found = standing(outcome)
     unit = 100.0 if found.entry == "success" else 1.0
-    policies = [_values(outcome, prefix + found.entry) for prefix in ("controller_", "", ACCEPTED)]
-    cells = [_with_interval(values, unit) for values in (policies[0][:1], *policies[1:])]
-    cells.append(with_interval(found.gain, found.interval, unit, sign="+"))
+    records = [run.results[outcome.followed] for run in outcome.runs]
+    controller, latest, *_ = success_cells(records)
+    _, accepted, change, *_ = success_cells(list(map(handed_over, records)))
+    cells = [controller, latest, accepted, change]
     least = f"{found.least * unit:+.2f} (allowed: {-found.margin * unit:.2f})"
     minutes = np.mean([run.seconds for run in outcome.runs]) / 60
     cells += [least, found.verdict, f"{minutes:.1f} min", _packages(outcome)]
-    return [outcome.point.arm, found.entry, *cells]
+    return [outcome.point.label, found.entry, *cells]
 
 
 def _changes(run: Run, entry: str) -> Iterator[float]:
     """What is handed over less the controller, at each evaluation during training."""
-    prefixes = ("controller_", ACCEPTED, "")
+    prefixes = (CONTROLLER, ACCEPTED, "")
     names = [metrics.name(metrics.EVALUATION, run.followed, p + entry) for p in prefixes]
     controller, accepted, latest = (run.metrics.get(name, []) for name in names)
     if not controller:
         raise KeyError(names[0])
     for (_, alone), (_, value) in zip(controller, accepted or latest, strict=True):
         yield value - alone
-
-
-def _values(outcome: Outcome, entry: str) -> np.ndarray:
-    """Every run's final episodes ``[S, N]``; the latest policy's where nothing is tested."""
-    episodes = [run.results[outcome.followed]["episodes"] for run in outcome.runs]
-    found = [e.get(entry, e[entry.removeprefix(ACCEPTED)]) for e in episodes]
-    return np.array(found, dtype=float)
-
-
-def _with_interval(values: np.ndarray, unit: float) -> str:
-    """A mean over runs, or over the episodes of one, with its interval."""
-    solved, count = values.sum(axis=1).astype(int).tolist(), values.shape[1]
-    if unit == 1.0:
-        interval = mean_interval(values.mean(axis=1) if len(values) > 1 else values[0])
-    else:
-        interval = success_interval(solved, count) if len(solved) > 1 else wilson(solved[0], count)
-    text = with_interval(float(values.mean()), interval, unit)
-    return text if not math.isnan(interval[0]) else f"{values.mean() * unit:.2f}"
 
 
 def _packages(outcome: Outcome) -> str:

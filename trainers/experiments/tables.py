@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..evaluation.statistics import iqm, iqm_interval, mean_interval, success_interval
-from .outcomes import Finding, Outcome
+from ..report.tables import with_interval
+from .outcomes import SOLVED, Finding, Outcome
 from .spec import Experiment
 
 __all__ = [
@@ -15,22 +16,19 @@ __all__ = [
     "final_rows",
     "followed_rows",
     "interval_of",
+    "outcome_rows",
     "overall_iqm",
     "steps_rows",
-    "success_rows",
 ]
 
 Table = tuple[list[str], list[list[str]]]
 """Header and rows."""
 
-SOLVED = 0.9
-"""Success of the followed episodes that counts as having learned the task."""
-
 TRIALS = 20
 """Of the paper's table; rates are also given as so many of twenty."""
 
 
-def success_rows(experiment: Experiment, finding: Finding) -> Table:
+def outcome_rows(experiment: Experiment, finding: Finding) -> Table:
     """Return successes by scenario, every arm and the controller on the same episodes."""
     setting = _setting(experiment)
     header = ["scenario", "arm", *setting, "succeeded, by seed [95 % interval of the rate]"]
@@ -55,9 +53,10 @@ def final_rows(experiment: Experiment, finding: Finding) -> Table:
 
 def followed_rows(experiment: Experiment, finding: Finding) -> Table:
     """Return the successes of every arm at the steps that the experiment names, over seeds."""
-    header = ["arm", *(f"success after {at} steps [%]" for at in experiment.evaluated_at)]
-    return header, [
-        [outcome.point.arm, *_followed(outcome, experiment.evaluated_at)]
+    setting = _setting(experiment)
+    at = [f"success after {steps} steps [%]" for steps in experiment.evaluated_at]
+    return ["arm", *setting, *at], [
+        [*_arm(outcome, bool(setting)), *_followed(outcome, experiment.evaluated_at)]
         for outcome in finding.outcomes
         if outcome.follows("success")
     ]
@@ -67,13 +66,20 @@ def _followed(outcome: Outcome, steps: Sequence[int]) -> list[str]:
     found = outcome.curve("success")
     band = found.band(outcome.followed_episodes)
     assert band is not None
-    columns = (100.0 * np.array([found.mean, *band]))[:, np.searchsorted(found.steps, steps)]
-    return [f"{mean:.0f} {_interval((low, high), 1.0)}" for mean, low, high in columns.T]
+    columns = np.array([found.mean, *band])[:, np.searchsorted(found.steps, steps)]
+    return [with_interval(mean, (low, high), 100.0) for mean, low, high in columns.T]
 
 
-def steps_rows(finding: Finding) -> Table:
+def steps_rows(experiment: Experiment, finding: Finding) -> Table:
     """Return how many environment steps the runs of every arm needed."""
-    header = ["arm", f"environment steps to {SOLVED:.0%}, by seed", "median", "reached by"]
+    setting = _setting(experiment)
+    header = [
+        "arm",
+        *setting,
+        f"environment steps to {SOLVED:.0%}, by seed",
+        "median",
+        "reached by",
+    ]
     rows = []
     for outcome in finding.outcomes:
         steps = outcome.steps_to(SOLVED)
@@ -81,23 +87,15 @@ def steps_rows(finding: Finding) -> Table:
         median = float(np.median([np.inf if s is None else s for s in steps]))
         middle = f"{median:.0f}" if np.isfinite(median) else "not reached"
         reached = f"{sum(s is not None for s in steps)} of {len(steps)}"
-        rows.append([outcome.point.arm, each, middle, reached])
+        rows.append([*_arm(outcome, bool(setting)), each, middle, reached])
     return header, rows
 
 
 def effort(finding: Finding) -> str:
     """Return how many runs each arm has, and what they took."""
-    counts: dict[int, list[str]] = {}
-    for outcome in finding.outcomes:
-        counts.setdefault(len(outcome.runs), []).append(outcome.point.arm)
-    asked = max(len(outcome.point.seeds) for outcome in finding.outcomes)
-    few = "; ".join(
-        f"{count} of {asked} seeds: {', '.join(dict.fromkeys(arms))}"
-        for count, arms in sorted(counts.items())
-        if count < asked
-    )
     times = [run.seconds for outcome in finding.outcomes for run in outcome.runs]
-    whole = f"Finished: {few}." if few else f"Seeds of every arm: {asked}."
+    asked = f"Seeds of every arm: {len(finding.planned[0].seeds)}."
+    whole = f"Finished so far: {finding.missing}." if finding.missing else asked
     return (
         f"{whole} Wall time of all {len(times)} runs together, one after the other: "
         f"{sum(times) / 3600:.1f} h; side by side it is divided by the number of workers, as long "
@@ -113,14 +111,14 @@ def overall_iqm(outcomes: Sequence[Outcome], entry: str) -> str:
 
 def _setting(experiment: Experiment) -> list[str]:
     """Return the column of the sweep's values, if there is a sweep."""
-    return [experiment.sweep.key.rpartition(".")[2]] if experiment.sweep else []
+    return [experiment.sweep.name] if experiment.sweep else []
 
 
 def _success_row(outcome: Outcome, scenario: str, with_setting: bool) -> list[str]:
-    cells = [scenario, outcome.point.arm, *_value(outcome, with_setting)]
+    cells = [scenario, *_arm(outcome, with_setting)]
     for counts in (outcome.counts(scenario), outcome.controller_counts(scenario)):
         cells += [str(counts), f"{TRIALS * counts.rate:.1f}"]
-    if not outcome.knows("mcnemar_p"):  # the episodes are not frozen
+    if not outcome.knows("mcnemar_p", scenario):  # the episodes are not frozen
         tests = ", ".join(f"{p:.1g}" for p in outcome.final("fisher_p", scenario))
         return [*cells, "not paired", f"{tests} (Fisher's)"]
     changes = [outcome.final(entry, scenario).sum() for entry in ("rescues", "regressions")]
@@ -129,13 +127,12 @@ def _success_row(outcome: Outcome, scenario: str, with_setting: bool) -> list[st
 
 
 def _final_row(outcome: Outcome, with_setting: bool) -> list[str]:
-    cells = [outcome.point.arm, *_value(outcome, with_setting), str(len(outcome.runs))]
+    cells = [*_arm(outcome, with_setting), str(len(outcome.runs))]
     for entry, unit in (("return", 1.0), ("success", 100.0)):
         if not outcome.knows(entry):
             return [*cells, "", "", ""]
         values, controller = outcome.final(entry), outcome.final(f"controller_{entry}")
-        interval = interval_of(outcome, entry)
-        cells.append(f"{values.mean() * unit:.2f} {_interval(interval, unit)}")
+        cells.append(with_interval(values.mean(), interval_of(outcome, entry), unit))
         cells.append(_iqm([values], unit))
         cells.append("none" if outcome.acts_alone else f"{controller.mean() * unit:.2f}")
     return cells
@@ -149,13 +146,9 @@ def interval_of(outcome: Outcome, entry: str, scenario: str | None = None) -> tu
     return mean_interval(outcome.final(entry, scenario))
 
 
-def _value(outcome: Outcome, with_setting: bool) -> list[str]:
-    return [f"{outcome.point.value:g}"] if with_setting else []
+def _arm(outcome: Outcome, with_setting: bool) -> list[str]:
+    return [outcome.point.arm, *([f"{outcome.point.value:g}"] if with_setting else [])]
 
 
 def _iqm(strata: Sequence[np.ndarray], unit: float) -> str:
-    return f"{iqm(*strata) * unit:.2f} {_interval(iqm_interval(*strata), unit)}"
-
-
-def _interval(interval: tuple[float, float], unit: float) -> str:
-    return f"[{interval[0] * unit:.2f}, {interval[1] * unit:.2f}]"
+    return with_interval(iqm(*strata), iqm_interval(*strata), unit)

@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from ..console import Output
+from ..evaluation.entries import CONTROLLER
 from ..launch.launchers import spawn
 from ..report.runs import Run
 from ..report.tables import handed_over
 from ..storage.run_files import CHECKPOINTS
-from .outcomes import Finding, Findings, Outcome
+from .outcomes import Finding, Findings
 
 __all__ = ["rescue_video", "task_videos"]
 
@@ -25,17 +26,16 @@ def rescue_video(findings: Findings, console: Output) -> Path | None:
     Returns:
         None if no run has rescued an episode, or the machine cannot render.
     """
-    rescues: dict[Run, float] = {
-        run: run.summary()["rescues"]
+    runs = [
+        run
         for finding in findings.values()
         for outcome in finding.outcomes
         if outcome.knows("rescues") and not outcome.acts_alone
         for run in outcome.runs
         if run.config["env"].get("renderer")
-    }
-    if not any(rescues.values()):
-        return None
-    return _rendered(max(rescues, key=lambda run: rescues[run]), "rescue", console)
+    ]
+    run, rescued = _most_rescued(runs) if runs else (None, [])
+    return _rendered(run, rescued[0], console) if run and rescued else None
 
 
 def task_videos(finding: Finding, console: Output) -> list[Video]:
@@ -43,34 +43,40 @@ def task_videos(finding: Finding, console: Output) -> list[Video]:
     videos = []
     for outcome in finding.outcomes:
         if outcome.point.config["env"].get("renderer"):
-            run, episode = _most_rescued(outcome)
+            run, rescued = _most_rescued(outcome.runs)
+            episode = next(iter(rescued), 0)
             if video := _rendered(run, episode, console):
-                videos.append((video, f"{outcome.point.arm}: seed {run.seed}, episode {episode}."))
+                caption = f"{outcome.point.label}: seed {run.seed}, episode {episode}."
+                videos.append((video, caption))
     return videos
 
 
-def _most_rescued(outcome: Outcome) -> tuple[Run, int]:
-    """Return the run that rescues the most final episodes, and the first of them; or the first."""
-    found = {
-        run: _rescued(handed_over(run.results[run.followed])["episodes"]) for run in outcome.runs
-    }
+def _most_rescued(runs: Sequence[Run]) -> tuple[Run, list[int]]:
+    """Return the run that rescues the most final episodes, and these."""
+    found = {run: _rescued(handed_over(run.results[run.followed])["episodes"]) for run in runs}
     run = max(found, key=lambda run: len(found[run]))
-    return run, next(iter(found[run]), 0)
+    return run, found[run]
 
 
 def _rescued(episodes: Mapping[str, Sequence[Any]]) -> list[int]:
-    pairs = zip(episodes.get("controller_success", ()), episodes.get("success", ()), strict=True)
+    pairs = zip(episodes.get(f"{CONTROLLER}success", ()), episodes.get("success", ()), strict=True)
     return [i for i, (alone, helped) in enumerate(pairs) if helped and not alone]
 
 
-def _rendered(run: Run, episode: str | int, console: Output) -> Path | None:
-    if not run.videos and not (run.path / CHECKPOINTS).is_dir():
-        return None  # it is kept without what it learned
-    if not run.videos:
-        console.say(f"rendering an episode of {run.label}")
-        log = run.path / "render.txt"
-        spawn(["render", f"run={run.path}", f"render.episode={episode}"], log).wait()
-    if not run.videos:
-        console.say(f"no video: see {run.path / 'render.txt'}", style="yellow")
-        return None
-    return run.videos[0]
+def _rendered(run: Run, episode: int, console: Output) -> Path | None:
+    """Return the video of an episode; it is made where the run still has what it learned."""
+    if (video := _video(run, episode)) or not (run.path / CHECKPOINTS).is_dir():
+        return video
+    console.say(f"rendering an episode of {run.label}")
+    log = run.path / "render.txt"
+    chosen = [f"render.scenario={run.followed}", f"render.episode={episode}"]
+    spawn(["render", f"run={run.path}", *chosen], log).wait()
+    video = _video(run, episode)
+    if video is None:
+        console.say(f"no video: see {log}", style="yellow")
+    return video
+
+
+def _video(run: Run, episode: int) -> Path | None:
+    name = f"{run.followed}_episode_{episode}"
+    return next((path for path in run.videos if path.stem == name), None)

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from .curves import Curve, Floats
 from .panels import LEARNING, Panel
 from .runs import Group
 
-__all__ = ["ACCEPTED_COLOR", "CONTROLLER_COLOR", "RESIDUAL_COLOR", "learning_curve"]
+__all__ = [
+    "ACCEPTED_COLOR",
+    "CONTROLLER_COLOR",
+    "RESIDUAL_COLOR",
+    "draw_mean",
+    "learning_curve",
+]
 
 RESIDUAL_COLOR, CONTROLLER_COLOR = "#1b6ca8", "#c1440e"
 ACCEPTED_COLOR = "#222222"
@@ -46,17 +54,31 @@ def learning_curve(group: Group, out: Path) -> Path | None:
     return out
 
 
+def draw_mean(
+    axis: Axes,
+    curve: Curve,
+    band: tuple[Floats, Floats] | None,
+    scale: float,
+    color: str,
+    label: str,
+    band_label: str | None = None,
+) -> None:
+    """Draw a mean over runs with its interval, if there is one; both are multiplied by a scale."""
+    if band:
+        low, high = (scale * bound for bound in band)
+        look: dict[str, Any] = {"color": color, "alpha": 0.18, "linewidth": 0}
+        axis.fill_between(curve.steps, low, high, label=band_label, **look)
+    axis.plot(curve.steps, scale * curve.mean, color=color, linewidth=2, label=label)
+
+
 def _draw(axis: Axes, group: Group, panel: Panel) -> None:
     found = group.curve(panel.metric)
     assert found is not None
-    steps, values = found.steps, found.values * panel.scale
-    if band := found.band(group.followed_episodes if panel.counted else None, panel.bounds):
-        low, high = (bound * panel.scale for bound in band)
-        fill = axis.fill_between(steps, low, high, color=RESIDUAL_COLOR, alpha=0.2, linewidth=0)
-        fill.set_label("95 % interval")
-    if len(values) > 1:
-        axis.plot(steps, values.T, color=RESIDUAL_COLOR, linewidth=0.6, alpha=0.45)
-    axis.plot(steps, values.mean(0), color=RESIDUAL_COLOR, linewidth=2, label="residual RL")
+    if len(found.seeds) > 1:
+        each = found.values.T * panel.scale
+        axis.plot(found.steps, each, color=RESIDUAL_COLOR, linewidth=0.6, alpha=0.45)
+    band = found.band(group.followed_episodes if panel.counted else None, panel.bounds)
+    draw_mean(axis, found, band, panel.scale, RESIDUAL_COLOR, "residual RL", "95 % interval")
     if level := group.curve(panel.controller):
         (line,) = axis.plot(level.steps, level.mean * panel.scale, "--", linewidth=2)
         line.set(color=CONTROLLER_COLOR, label="controller alone")

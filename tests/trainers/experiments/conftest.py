@@ -1,14 +1,23 @@
 """A project of its own with a fast environment and a small experiment."""
 
+import csv
+import json
 from functools import partial
 
 import pytest
+import yaml
 
 from experiment_project import write_project
 from rrl.trainers.cli.compose import compose as compose_config
 from rrl.trainers.console import Output
+from rrl.trainers.experiments.outcomes import Outcome
+from rrl.trainers.experiments.plan import Point
 from rrl.trainers.experiments.reproduce import reproduce
 from rrl.trainers.experiments.spec import load_experiments
+from rrl.trainers.report.runs import Run
+
+SEEDS = (0, 1, 2)
+EPISODES = 20
 
 
 @pytest.fixture
@@ -46,3 +55,49 @@ def run(project, folders, compose):
 @pytest.fixture
 def experiments(folders):
     return lambda *names: load_experiments(names, folders)
+
+
+@pytest.fixture
+def outcome(tmp_path):
+    """Makes an outcome from final numbers by entry and curves by entry, spread a little over the seeds."""
+
+    def make(
+        arm="residual RL", value=None, curves=None, scenario="misaligned", scenarios=None, **final
+    ):
+        scenarios = scenarios or {scenario: {}}
+        runs = tuple(write(arm, curves, scenarios, final, seed) for seed in SEEDS)
+        point = Point("some", arm, value, "key", (), runs[0].config, SEEDS, swept="mu")
+        return Outcome(point, runs)
+
+    def write(arm, curves, scenarios, final, seed):
+        path = tmp_path / f"{len(list(tmp_path.iterdir()))}"
+        path.mkdir()
+        numbers = {"success": 1.0, "return": -2.0, "controller_success": 0.1}
+        numbers |= {"controller_return": -4.0, **final}
+        numbers = {"return_gain": numbers["return"] - numbers["controller_return"], **numbers}
+        numbers = {"rescues": 5, "regressions": 0, "mcnemar_p": 0.06, **numbers}
+        numbers["return"] += 0.001 * seed
+        results = {
+            name: {"summary": {**numbers, **entry}, "episodes": {"return": [0.0] * EPISODES}}
+            for name, entry in scenarios.items()
+        }
+        (path / "results.json").write_text(json.dumps(results))
+        curves = {"success": [0, 1], "return": [-4, -2], **(curves or {})}
+        curves |= {f"controller_{name}": [v[0]] * len(v) for name, v in curves.items()}
+        with (path / "metrics.csv").open("w") as file:
+            rows = csv.writer(file)
+            rows.writerow(["env_steps", "metric", "value"])
+            followed = f"eval/{next(iter(results))}"
+            for name, values in curves.items():
+                spread = 0.0 if name.endswith("success") else 0.01 * seed
+                rows.writerows(
+                    [i * 500, f"{followed}/{name}", v + spread] for i, v in enumerate(values)
+                )
+        trainer = {"seed": seed, "num_seeds": 1, "total_steps": 500}
+        trainer["evaluation"] = {"episodes": EPISODES, "final_episodes": EPISODES}
+        config = {"trainer": trainer, "env": {"scenarios": {name: {} for name in results}}}
+        config["controller"] = {"_target_": "rrl.controllers.ProportionalController"}
+        (path / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
+        return Run(path, path.name)
+
+    return make

@@ -1,77 +1,24 @@
 """Claims are judged by the numbers, whichever way they fall; what has no numbers is not judged."""
 
-import csv
-import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
 
 from browser import needs_chromium, opened
+from experiment_project import finding
 from rrl.trainers.experiments.claims import CLAIMS, judge
 from rrl.trainers.experiments.figures import draw
-from rrl.trainers.experiments.outcomes import Finding, Outcome
-from rrl.trainers.experiments.plan import Point
-from rrl.trainers.experiments.report import Shown, write_report, write_results
+from rrl.trainers.experiments.outcomes import Finding
+from rrl.trainers.experiments.report import Shown, write_experiments, write_results
 from rrl.trainers.experiments.spec import Experiment, Settings
-from rrl.trainers.experiments.tables import final_rows, success_rows
 from rrl.trainers.launch.job import Job
 from rrl.trainers.launch.pool import Ending
-from rrl.trainers.report.runs import Run
-
-SEEDS = (0, 1, 2)
-EPISODES = 20
-
-
-@pytest.fixture
-def outcome(tmp_path):
-    """Makes an outcome from final numbers by entry and curves by entry, spread a little over the seeds."""
-
-    def make(
-        arm="residual RL", value=None, curves=None, scenario="misaligned", scenarios=None, **final
-    ):
-        scenarios = scenarios or {scenario: {}}
-        runs = tuple(write(arm, curves, scenarios, final, seed) for seed in SEEDS)
-        point = Point("some", arm, value, "key", (), runs[0].config, SEEDS)
-        return Outcome(point, runs)
-
-    def write(arm, curves, scenarios, final, seed):
-        path = tmp_path / f"{len(list(tmp_path.iterdir()))}"
-        path.mkdir()
-        numbers = {"success": 1.0, "return": -2.0, "controller_success": 0.1}
-        numbers |= {"controller_return": -4.0, **final}
-        numbers = {"return_gain": numbers["return"] - numbers["controller_return"], **numbers}
-        numbers = {"rescues": 5, "regressions": 0, "mcnemar_p": 0.06, **numbers}
-        numbers["return"] += 0.001 * seed
-        results = {
-            name: {"summary": {**numbers, **entry}, "episodes": {"return": [0.0] * EPISODES}}
-            for name, entry in scenarios.items()
-        }
-        (path / "results.json").write_text(json.dumps(results))
-        curves = {"success": [0, 1], "return": [-4, -2], **(curves or {})}
-        curves |= {f"controller_{name}": [v[0]] * len(v) for name, v in curves.items()}
-        with (path / "metrics.csv").open("w") as file:
-            rows = csv.writer(file)
-            rows.writerow(["env_steps", "metric", "value"])
-            followed = f"eval/{next(iter(results))}"
-            for name, values in curves.items():
-                spread = 0.0 if name.endswith("success") else 0.01 * seed
-                rows.writerows(
-                    [i * 500, f"{followed}/{name}", v + spread] for i, v in enumerate(values)
-                )
-        trainer = {"seed": seed, "num_seeds": 1, "total_steps": 500}
-        trainer["evaluation"] = {"episodes": EPISODES, "final_episodes": EPISODES}
-        config = {"trainer": trainer, "env": {"scenarios": {name: {} for name in results}}}
-        config["controller"] = {"_target_": "rrl.controllers.ProportionalController"}
-        (path / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
-        return Run(path, path.name)
-
-    return make
 
 
 def verdict(number, *outcomes):
     claim = next(claim for claim in CLAIMS if claim.number == number)
-    found = judge({claim.experiment: Finding(claim.experiment, outcomes)})
+    found = judge({claim.experiment: finding(*outcomes, name=claim.experiment)})
     return next(verdict for verdict in found if verdict.claim is claim)
 
 
@@ -117,21 +64,6 @@ def test_the_papers_table(outcome):
     assert not verdict("6b", outcome(scenarios=scenarios)).holds
 
 
-def test_what_is_not_paired_has_fishers_test(outcome):
-    changes = {"rescues": 5, "regressions": 0, "mcnemar_p": 0.06}
-    loose = {"success": 0.75, "controller_success": 0.1, "fisher_p": 0.03}
-    found = outcome(scenarios={"misaligned": loose})
-    for run in found.runs:
-        for entry in changes:
-            del run.results["misaligned"]["summary"][entry]
-    experiment = Experiment(name="one", title="", paper="", figure="table", arms={"a": ()})
-    header, (row,) = success_rows(experiment, Finding("one", (found,)))
-    cells = dict(zip(header, row, strict=True))
-    assert cells["rescued / broken"] == "not paired"
-    assert cells["McNemar's p, by seed"].endswith("(Fisher's)")
-    assert "0.03" in cells["McNemar's p, by seed"]
-
-
 def test_success_grows(outcome):
     assert verdict("7", outcome(curves={"success": [0.1, 0.5, 0.8]})).holds
     assert not verdict("7", outcome(curves={"success": [0.1, 0.5, 0.6]})).holds
@@ -166,6 +98,28 @@ def test_a_claim_without_its_outcomes_is_not_tested(outcome):
     assert judge({}) == []
 
 
+def test_a_claim_is_not_judged_on_a_part_of_its_runs(outcome):
+    whole, part = outcome(), outcome("RL alone")
+    found = verdict("1a", whole, replace(part, runs=part.runs[:2]))
+    assert (found.word, found.numbers) == (
+        "not tested",
+        "finished so far: 2 of 3 seeds of RL alone",
+    )
+    claim = next(claim for claim in CLAIMS if claim.number == "8")
+    planned = (outcome(value=0.1).point, outcome(value=0.2).point)
+    (found,) = judge({claim.experiment: Finding("bias-real", (outcome(value=0.1),), planned)})
+    assert "0 of 3 seeds of residual RL, mu = 0.2" in found.numbers
+
+
+def test_one_seed_says_nothing_of_an_interval_over_seeds(outcome):
+    arms = [outcome(), outcome("RL alone")]
+    alone = [replace(o, runs=o.runs[:1], point=replace(o.point, seeds=(0,))) for o in arms]
+    found = verdict("1a", *alone)
+    assert found.word == "not tested"
+    assert "at least two seeds" in found.numbers
+    assert verdict("6a", *alone).holds  # it asks for no interval
+
+
 def test_every_claim_says_how_it_is_tested():
     assert len(CLAIMS) == 13
     for claim in CLAIMS:
@@ -173,26 +127,7 @@ def test_every_claim_says_how_it_is_tested():
         assert claim.paper
 
 
-@pytest.mark.parametrize("figure", ["curves", "sweep", "table"])
-def test_figures_and_tables_of_a_store(outcome, figure, tmp_path):
-    sweep = {"key": "a.b", "label": "b [m]", "values": {"quick": [0.0, 1.0]}}
-    experiment = Experiment(
-        name="some", title="T", paper="P", figure=figure, arms={"residual RL": ()}, sweep=sweep
-    )
-    finding = Finding("some", (outcome(value=0.0), outcome(value=1.0, success=0.5)))
-    out = draw(experiment, finding, tmp_path / "figures")
-    assert out.read_bytes().startswith(b"\x89PNG")
-    assert "<svg" in out.with_suffix(".svg").read_text()
-    header, rows = final_rows(experiment, finding)
-    assert [len(row) for row in rows] == [len(header)] * 2
-    assert rows[1][:3] == ["residual RL", "1", "3"]
-    header, rows = success_rows(experiment, finding)
-    assert rows[1][2] == "1"
-    assert rows[1][3].startswith("10/10/10 of 20 [")
-    assert rows[1][4] == "10.0"
-
-
-def shown_of(outcome, tmp_path):
+def shown_of(outcome, tmp_path, **ending):
     """Two experiments of one outcome with two scenarios."""
     experiments = [
         Experiment(
@@ -207,15 +142,16 @@ def shown_of(outcome, tmp_path):
         ),
     ]
     made = outcome(scenarios={"misaligned": {}, "aligned": {"success": 0.5}})
-    findings = {e.name: Finding(e.name, (made,)) for e in experiments}
+    findings = {e.name: finding(made, name=e.name) for e in experiments}
     figures = {e.name: draw(e, findings[e.name], tmp_path / "figures") for e in experiments}
     scale = {"quick": {"seeds": 3}}
     settings = Settings(scale="quick", launcher="local", workers=1, out="out", scales=scale)
-    return Shown(experiments, findings, figures, judge(findings), settings)
+    return Shown(experiments, findings, figures, judge(findings), settings, Ending(**ending))
 
 
 def test_the_results_are_a_page_for_a_repository(outcome, tmp_path):
-    shown = shown_of(outcome, tmp_path)
+    failed, blocked = (Job(tmp_path / f"{name}/seed-0", {}) for name in ("lost", "left"))
+    shown = shown_of(outcome, tmp_path, failed=[failed], blocked=[blocked])
     page = write_results(shown, tmp_path / "results.md").read_text()
     for expected in (
         "| 6a. Misaligned: about 15 of 20, by the controller about 2 | 15 of 20, controller 2",
@@ -225,6 +161,8 @@ def test_the_results_are_a_page_for_a_repository(outcome, tmp_path):
         "| misaligned | residual RL | 20/20/20 of 20 [",
         "Seeds of every arm: 3.",
         "`rrl reproduce table scale=quick`",
+        "Failed: `lost/seed-0`.",
+        "Not started, as they need one that failed: `left/seed-0`.",
     ):
         assert expected in page, expected
     assert str(tmp_path) not in page  # it can be put into any repository
@@ -233,11 +171,18 @@ def test_the_results_are_a_page_for_a_repository(outcome, tmp_path):
             assert (tmp_path / line.rpartition("(")[2].rstrip(")")).is_file()
 
 
+def test_an_experiment_without_a_finished_run_is_named(outcome, tmp_path):
+    shown = replace(shown_of(outcome, tmp_path), findings={}, verdicts=[])
+    page = write_experiments(shown, None, {}, tmp_path / "r.html").read_text()
+    assert "Scale <code>quick</code>: 3 seeds" in page
+    assert page.count("No run is finished yet.") == 2
+
+
 @needs_chromium
 def test_the_report_opens_offline_and_without_errors(outcome, tmp_path):
     failed = Job(tmp_path / "lost/seed-0", {"trainer": {"total_steps": 100}})
-    ending, shown = Ending(failed=[failed]), shown_of(outcome, tmp_path)
-    path = write_report(shown, None, {}, ending, tmp_path / "r.html")
+    shown = shown_of(outcome, tmp_path, failed=[failed])
+    path = write_experiments(shown, None, {}, tmp_path / "r.html")
     with opened(path) as page:
         text = page.inner_text("body")
         for expected in (

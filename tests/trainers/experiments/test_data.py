@@ -74,7 +74,7 @@ def check_numbers(rows):
     assert rescued == pytest.approx([4 * gain for gain in gains])
 
 
-def test_how_widely_a_run_moved_is_kept_without_its_transitions(experiment, run):
+def test_how_widely_a_run_moved_is_kept_without_its_transitions(experiment, run, project):
     experiment(
         {**CURVES, "figure": "spread", "seeds": 1, "overrides": ["+env.base.dim=3"]},
     )
@@ -83,6 +83,16 @@ def test_how_widely_a_run_moved_is_kept_without_its_transitions(experiment, run)
     rows = [numbers(report.parent / "figures/some.csv") for report in (first, second)]
     assert rows[0] == rows[1]
     assert float(rows[1][-1]["position_variance_z_cm2"]) > 0
+    # What cannot be kept is said, and the others are kept.
+    kept = sorted((project / "kept").iterdir())
+    (project / "full").mkdir()
+    (project / "full" / kept[0].name).touch()
+    _, said = run("some", data="full", workers=0)
+    assert f"{kept[0].name}/seed-0 is not kept in {project / 'full'}" in said.replace("\n", "")
+    assert (project / "full" / kept[1].name / "seed-0/results.json").is_file()
+    (project / "file").touch()
+    with pytest.raises(ValueError, match="data: expected a folder, got the file"):
+        run("some", data="file")
 
 
 @pytest.mark.slow

@@ -2,12 +2,14 @@
 
 import csv
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import yaml
 
-from experiment_project import write
-from rrl.trainers.experiments.outcomes import Finding, Outcome
+from experiment_project import finding, write
+from rrl.trainers.experiments.outcomes import Outcome
 from rrl.trainers.experiments.plan import Point
 from rrl.trainers.experiments.standing import HEADER, standing, standing_row
 from rrl.trainers.experiments.tables import effort
@@ -43,6 +45,7 @@ def outcome(tmp_path):
         solved = {"controller_": 10, "": latest, "accepted_": handed_over}
         episodes = {p + entry: [float(i < n) for i in range(EPISODES)] for p, n in solved.items()}
         summary = {f"{p}{entry}": n / EPISODES for p, n in solved.items()}
+        summary |= {f"{p}{change}": 0 for p in solved for change in ("rescues", "regressions")}
         results = {"task": {"summary": summary, "episodes": episodes}}
         (path / "results.json").write_text(json.dumps(results))
         (path / "versions.json").write_text(json.dumps({"metaworld": "3.0.0"}))
@@ -78,6 +81,17 @@ def test_without_success_the_margin_is_a_share_of_the_range_of_returns(outcome):
     assert found.verdict == "better"
 
 
+@pytest.mark.parametrize("where", ["episodes", "metrics"])
+def test_a_return_that_is_no_number_is_no_verdict(outcome, where):
+    made = outcome(20, entry="return")
+    run = made.runs[0]
+    values = run.results["task"]["episodes"] if where == "episodes" else run.metrics
+    for name in [name for name in values if name.endswith("accepted_return")]:
+        values[name][0] = np.nan if where == "episodes" else (0, np.nan)
+    assert standing(made).verdict == "unknown"
+    assert "unknown" in standing_row(made)
+
+
 def test_a_row_has_every_number_with_its_interval_and_the_packages(outcome):
     row = dict(zip(HEADER, standing_row(outcome(20, latest=3)), strict=True))
     assert row["task"] == "push"
@@ -91,11 +105,13 @@ def test_a_row_has_every_number_with_its_interval_and_the_packages(outcome):
 
 
 def test_it_is_said_which_seeds_are_missing_and_what_the_runs_took(outcome):
-    finding = Finding("some", (outcome(20), outcome(10, arm="hammer")))
-    said = effort(finding)
-    assert "Finished: 2 of 3 seeds: push, hammer." in said
+    found = finding(outcome(20), outcome(10, arm="hammer"))
+    said = effort(found)
+    assert "Finished so far: 2 of 3 seeds of push, hammer." in said
     assert "Wall time of all 4 runs together, one after the other: 0.1 h" in said
-    assert "Finished" not in effort(Finding("some", (whole(finding.outcomes[0]),)))
+    nothing = replace(found, outcomes=found.outcomes[:1])
+    assert "so far: 0 of 3 seeds of hammer; 2 of 3 seeds of push." in effort(nothing)
+    assert "Seeds of every arm: 2." in effort(finding(whole(found.outcomes[0])))
 
 
 def whole(outcome):

@@ -1,0 +1,159 @@
+"""Figures and tables show every arm, and whose controller is whose."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiment_project import finding
+from rrl.trainers.experiments.figures import draw
+from rrl.trainers.experiments.front import front_rows
+from rrl.trainers.experiments.spec import Experiment
+from rrl.trainers.experiments.tables import final_rows, followed_rows, outcome_rows, steps_rows
+
+SWEEP = {"key": "a.mu", "label": "mu [m]", "values": {"quick": [0.0, 1.0]}}
+ZERO = {"_target_": "rrl.controllers.ZeroController"}
+
+
+def of(figure, **changes):
+    sweep = SWEEP if figure == "sweep" else None
+    return Experiment(name="some", title="T", figure=figure, arms={"a": ()}, sweep=sweep, **changes)
+
+
+def labels(figure, found, folder, **changes):
+    """The figure as SVG, which has its words in comments."""
+    return draw(of(figure, **changes), found, folder).with_suffix(".svg").read_text()
+
+
+def without_success(outcome):
+    for run in outcome.runs:
+        for name in [name for name in run.metrics if name.endswith("success")]:
+            del run.metrics[name]
+        for record in run.results.values():
+            for entry in ("success", "controller_success"):
+                del record["summary"][entry]
+    return outcome
+
+
+@pytest.mark.parametrize("figure", ["curves", "sweep", "table"])
+def test_figures_and_tables_of_a_store(outcome, figure, tmp_path):
+    sweep = {"key": "a.b", "label": "b [m]", "values": {"quick": [0.0, 1.0]}}
+    experiment = Experiment(
+        name="some", title="T", paper="P", figure=figure, arms={"residual RL": ()}, sweep=sweep
+    )
+    found = finding(outcome(value=0.0), outcome(value=1.0, success=0.5))
+    out = draw(experiment, found, tmp_path / "figures")
+    assert out.read_bytes().startswith(b"\x89PNG")
+    assert "<svg" in out.with_suffix(".svg").read_text()
+    header, rows = final_rows(experiment, found)
+    assert [len(row) for row in rows] == [len(header)] * 2
+    assert rows[1][:3] == ["residual RL", "1", "3"]
+    header, rows = outcome_rows(experiment, found)
+    assert rows[1][2] == "1"
+    assert rows[1][3].startswith("10/10/10 of 20 [")
+    assert rows[1][4] == "10.0"
+
+
+def test_what_is_not_paired_has_fishers_test(outcome):
+    changes = {"rescues": 5, "regressions": 0, "mcnemar_p": 0.06}
+    loose = {"success": 0.75, "controller_success": 0.1, "fisher_p": 0.03}
+    found = outcome(scenarios={"misaligned": loose})
+    for run in found.runs:
+        for entry in changes:
+            del run.results["misaligned"]["summary"][entry]
+    experiment = Experiment(name="one", title="", paper="", figure="table", arms={"a": ()})
+    header, (row,) = outcome_rows(experiment, finding(found))
+    cells = dict(zip(header, row, strict=True))
+    assert cells["rescued / broken"] == "not paired"
+    assert cells["McNemar's p, by seed"].endswith("(Fisher's)")
+    assert "0.03" in cells["McNemar's p, by seed"]
+
+
+@pytest.mark.parametrize("figure", ["curves", "sweep"])
+@pytest.mark.parametrize("others", [0, 1])
+def test_return_stands_in_where_no_success_is_reported(outcome, figure, others, tmp_path):
+    silent = [without_success(outcome("silent", value=v)) for v in (0.0, 1.0)]
+    telling = [outcome("telling", value=v) for v in (0.0, 1.0)][: 2 * others]
+    svg = labels(figure, finding(*silent, *telling), tmp_path)
+    assert "return of an episode" in svg
+    assert ("success rate" in svg) == bool(others)
+    assert "<!-- silent" in svg
+    assert ("<!-- telling" in svg) == bool(others)
+
+
+@pytest.mark.parametrize("figure", ["sweep", "spread"])
+def test_there_may_be_more_arms_than_colors(outcome, figure, tmp_path):
+    arms = [outcome(f"arm {i}", value=0.0) for i in range(9)]
+    for run in [run for arm in arms for run in arm.runs]:
+        run.config["env"]["inputs"] = {"end_effector_position": {}}
+        (run.path / "positions.json").write_text("[1.0, 2.0, 3.0]")
+    assert "arm 8" in labels(figure, finding(*arms), tmp_path)
+
+
+def test_a_sweep_shows_whose_controller_is_whose(outcome, tmp_path):
+    alone = outcome("RL alone", value=0.0)
+    alone.point.config["controller"] = ZERO
+    same = [outcome(arm, value=0.0) for arm in ("first", "second", "third")]
+    other = outcome("with limits", value=0.0, controller_return=-9.0)
+    assert "controller alone" not in labels("sweep", finding(alone), tmp_path)
+    svg = labels("sweep", finding(alone, *same), tmp_path)
+    assert "<!-- controller alone -->" in svg
+    svg = labels("sweep", finding(*same, other), tmp_path)
+    assert "<!-- controller alone -->" in svg
+    assert "<!-- controller alone, with limits -->" in svg
+
+
+def pressing(outcome, arm, force, limit=5.0):
+    """An arm whose controller presses with some force."""
+    entries = {"metrics/force": 3.0, "metrics/force_p99": 4.0, "metrics/force_above_limit": 0.0}
+    alone = {f"controller_{name}": force for name in entries}
+    made = outcome(arm, **entries, **alone)
+    made.point.config["env"]["metrics"] = {"force": {"unit": "N", "limit": limit}}
+    return made
+
+
+def test_a_front_shows_whose_controller_is_whose(outcome, tmp_path):
+    arms = [pressing(outcome, arm, 2.0) for arm in ("free", "free too")]
+    arms += [pressing(outcome, "slow", 1.0), pressing(outcome, "RL alone", 0.0)]
+    arms[-1].point.config["controller"] = ZERO
+    experiment, found = of("front", metric="force"), finding(*arms)
+    header, rows = front_rows(experiment, found)
+    shown = [row[1:5:3] for row in rows if row[1].startswith("controller")]
+    assert shown == [["controller alone", "2.0"], ["controller alone, slow", "1.0"]]
+    svg = labels("front", found, tmp_path, metric="force")
+    assert "<!-- controller alone, slow -->" in svg
+    assert "force above the limit 5 N [%]" in header
+    header, _ = front_rows(experiment, finding(arms[0], pressing(outcome, "other", 1.0, 7.0)))
+    assert "force above its limit [%]" in header
+
+
+def test_rows_of_a_sweep_name_the_setting(outcome):
+    experiment = of("sweep", evaluated_at=(500,))
+    found = finding(outcome(value=0.0), outcome(value=1.0))
+    for rows in (steps_rows, followed_rows):
+        header, (first, second) = rows(experiment, found)
+        assert header[:2] == ["arm", "mu"]
+        assert (first[1], second[1]) == ("0", "1")
+        assert len(first) == len(header)
+
+
+def test_one_seed_has_no_interval(outcome):
+    made = outcome()
+    experiment, found = of("table"), finding(replace(made, runs=made.runs[:1]))
+    _, (row,) = final_rows(experiment, found)
+    assert row[2] == "-2.00 (one run)"
+    assert not any("nan" in cell for cell in row)
+
+
+def test_a_return_that_is_no_number_does_not_end_the_figure(outcome, tmp_path):
+    made = without_success(outcome(curves={"return": [-4.0, np.nan, -2.0]}))
+    assert "<!-- latest policy -->" in labels("tasks", finding(made), tmp_path)
+
+
+def test_scenarios_may_be_paired_or_not(outcome):
+    made = outcome(scenarios={"frozen": {}, "loose": {"fisher_p": 0.03}})
+    for run in made.runs:
+        for entry in ("rescues", "regressions", "mcnemar_p"):
+            del run.results["loose"]["summary"][entry]
+    _, rows = outcome_rows(of("table"), finding(made))
+    assert [row[-2] for row in rows] == ["15 / 0", "not paired"]
