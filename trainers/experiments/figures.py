@@ -13,11 +13,11 @@ from matplotlib.figure import Figure
 
 from ..evaluation.entries import ACCEPTED, CONTROLLER
 from ..evaluation.statistics import mean_interval
-from ..report.curves import alike, view
+from ..report.curves import ALONE, alike, controllers, view
 from ..report.learning_curve import ACCEPTED_COLOR, CONTROLLER_COLOR, RESIDUAL_COLOR, draw_mean
 from .front import SHOWN, draw_front
 from .looks import COLORS, MARKERS, PANELS
-from .outcomes import ALONE, Finding, Outcome, controllers
+from .outcomes import Finding, Outcome
 from .spec import Experiment
 from .spread import variances
 from .tables import interval_of, outcome_rows
@@ -76,7 +76,7 @@ def _sweep(experiment: Experiment, finding: Finding) -> Figure:
         for arm, found in arms.items():
             marker = MARKERS[finding.arms.index(arm) % len(MARKERS)]
             _errors(axis, found, entry, unit, arm, color=colors[arm], marker=marker)
-        for name, arm in controllers(_levels(arms, CONTROLLER + entry)).items():
+        for name, (arm, *_) in controllers(_levels(arms, CONTROLLER + entry)).items():
             color = CONTROLLER_COLOR if name == ALONE else colors[arm]
             look = {"color": color, "marker": "s", "linestyle": "--"}
             _errors(axis, arms[arm], CONTROLLER + entry, unit, name, **look)

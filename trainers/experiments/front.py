@@ -12,11 +12,12 @@ from matplotlib.figure import Figure
 from rrl.keys import METRICS
 
 from ..evaluation.entries import CONTROLLER
+from ..report.curves import ALONE, controllers
 from ..report.learning_curve import CONTROLLER_COLOR
 from ..report.panels import ABOVE, Declared, agreed, quantity_title
 from ..report.tables import with_interval
 from .looks import COLORS, MARKERS, PANELS
-from .outcomes import ALONE, Finding, Outcome, controllers
+from .outcomes import Finding, Outcome
 from .spec import Experiment
 from .tables import Table, interval_of
 
@@ -82,7 +83,7 @@ def _controllers(finding: Finding, quantity: str) -> dict[str, Outcome]:
     """The controllers whose marks differ, by name, each with the first arm that it is below."""
     below = {outcome.point.label: outcome for outcome in finding.outcomes if not outcome.acts_alone}
     values = {label: _marks(outcome, quantity) for label, outcome in below.items()}
-    return {name: below[label] for name, label in controllers(values).items()}
+    return {name: below[labels[0]] for name, labels in controllers(values).items()}
 
 
 def _marks(outcome: Outcome, quantity: str) -> tuple[float, ...]:

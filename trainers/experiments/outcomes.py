@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,15 +13,14 @@ from numpy.typing import NDArray
 from ..evaluation.statistics import success_interval
 from ..launch.job import Job
 from ..loggers import metrics
-from ..report.curves import Curve, alike, curve
+from ..report.curves import Curve, curve
 from ..report.runs import Run
 from .plan import Point, run_directory
 
-__all__ = ["ALONE", "SOLVED", "Counts", "Finding", "Findings", "Outcome", "controllers", "gather"]
+__all__ = ["SOLVED", "Counts", "Finding", "Findings", "Outcome", "gather"]
 
 Floats = NDArray[np.float64]
 
-ALONE = "controller alone"
 SOLVED = 0.9
 """Success of the followed episodes that counts as having learned the task."""
 
@@ -174,18 +173,3 @@ def gather(points: Sequence[Point], done: Sequence[Job], out: Path) -> Findings:
         if runs := tuple(Run(path, names[path]) for path in paths if path in names):
             found.setdefault(point.experiment, []).append(Outcome(point, runs))
     return {name: Finding(name, tuple(o), tuple(planned[name])) for name, o in found.items()}
-
-
-def controllers(values: Mapping[str, Hashable]) -> dict[str, str]:
-    """Tell the controllers alone apart by what they came to.
-
-    Args:
-        values: What the controller came to, by the name of what learns on it.
-
-    Returns:
-        Every controller's name, and the first of what learns on it. A controller is named after
-        all of that, but for the one that is below most.
-    """
-    same = alike(values, values.__getitem__)
-    of = [f", {', '.join(names)}" if 2 * len(names) <= len(values) else "" for names in same]
-    return {ALONE + o: names[0] for o, names in zip(of, same, strict=True)}

@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from ..loggers import metrics
-from .curves import Curve, Floats, alike, view
+from .curves import Curve, Floats, controllers, view
 from .panels import Panel
 from .runs import Group
 
@@ -119,14 +119,13 @@ def _group_traces(group: Group, panel: Panel, curve: Curve, color: str) -> list[
 def _controllers(groups: Sequence[Group], panel: Panel, end: float) -> list[go.Scatter]:
     """The controller's level, once for all groups that it came to the same for."""
     learned_on = [group for group in groups if group.config["arm"] == "residual"]
-    found = [(group.label, group.curve(panel.controller)) for group in learned_on]
-    levels = [(label, curve) for label, curve in found if curve]
-    same = alike(levels, lambda level: frozenset(level[1].values.ravel()))
+    found = {group.label: group.curve(panel.controller) for group in learned_on}
+    levels = {label: curve for label, curve in found.items() if curve}
+    values = {label: frozenset(curve.values.ravel()) for label, curve in levels.items()}
     traces = []
-    for of_one in same:
-        of = f" ({', '.join(label for label, _ in of_one)})" if len(same) > 1 else ""
-        longest = max((curve for _, curve in of_one), key=lambda curve: curve.steps[-1])
-        name, level = f"controller alone{of}", longest.level(end)
+    for name, labels in controllers(values).items():
+        longest = max((levels[label] for label in labels), key=lambda curve: curve.steps[-1])
+        level = longest.level(end)
         style = {"color": CONTROLLER_COLOR, "width": 2, "dash": "dash"}
         line = _line(level.steps, level.mean * panel.scale, name, name, style)
         traces.append(line.update(meta={"Show": "controller"}))

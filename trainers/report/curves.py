@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from ..evaluation.statistics import NO_INTERVAL, Interval, mean_interval, success_interval
 
-__all__ = ["ANY", "Curve", "Floats", "Series", "alike", "curve", "view"]
+__all__ = ["ALONE", "ANY", "Curve", "Floats", "Series", "alike", "controllers", "curve", "view"]
 
 T = TypeVar("T")
 
 Floats = NDArray[np.float64]
 Series = Mapping[int, Sequence[tuple[int, float]]]
 """Seed to ``(env_steps, value)`` in order."""
+ALONE = "controller alone"
 ANY = (-math.inf, math.inf)
 
 
@@ -101,6 +102,21 @@ def alike(items: Iterable[T], values: Callable[[T], Hashable]) -> list[list[T]]:
     for item in items:
         found.setdefault(values(item), []).append(item)
     return list(found.values())
+
+
+def controllers(values: Mapping[str, Hashable]) -> dict[str, list[str]]:
+    """Tell the controllers alone apart by what they came to.
+
+    Args:
+        values: What the controller came to, by the name of what learns on it.
+
+    Returns:
+        Every controller's name, and the names of what learns on it. A controller is named after
+        these, but for the one that is below most.
+    """
+    same = alike(values, values.__getitem__)
+    of = [f", {', '.join(names)}" if 2 * len(names) <= len(values) else "" for names in same]
+    return {ALONE + o: names for o, names in zip(of, same, strict=True)}
 
 
 def _rate_interval(rates: Floats, episodes: int) -> Interval:

@@ -8,7 +8,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from .curves import Curve, Floats
+from .curves import ALONE, Curve, Floats
 from .panels import LEARNING, Panel
 from .runs import Group
 
@@ -81,7 +81,7 @@ def _draw(axis: Axes, group: Group, panel: Panel) -> None:
     draw_mean(axis, found, band, panel.scale, RESIDUAL_COLOR, "residual RL", "95 % interval")
     if level := group.curve(panel.controller):
         (line,) = axis.plot(level.steps, level.mean * panel.scale, "--", linewidth=2)
-        line.set(color=CONTROLLER_COLOR, label="controller alone")
+        line.set(color=CONTROLLER_COLOR, label=ALONE)
     if accepted := group.curve(panel.accepted):
         (line,) = axis.plot(accepted.steps, accepted.mean * panel.scale, ":", linewidth=2)
         line.set(color=ACCEPTED_COLOR, label="handed over", drawstyle="steps-post")

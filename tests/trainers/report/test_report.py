@@ -175,8 +175,8 @@ def test_controllers_are_one_line_where_they_came_to_the_same(tmp_path):
         rows.replace("controller_return,-4.8", "controller_return,-3.5")
     )
     assert [trace.name for trace in lines(runs, "alone")] == [
-        "controller alone (a, b)",
-        "controller alone (c)",
+        "controller alone",
+        "controller alone, c",
     ]
 
 
