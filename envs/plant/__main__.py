@@ -34,8 +34,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "overrides", nargs="*", metavar="name=value", help="of rrl.envs.InsertionConfig"
     )
     chosen = parser.parse_args(arguments)
-    pairs = (text.partition("=") for text in chosen.overrides)
-    overrides: dict[str, Any] = {name: yaml.safe_load(value) for name, _, value in pairs}
     ended = False
 
     def end(*_: object) -> None:
@@ -44,12 +42,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, end)
-    plant = SimulatedPlant(make_config(chosen.variant, overrides), chosen.timeout)
+    pairs = (text.partition("=") for text in chosen.overrides)
+    try:
+        overrides: dict[str, Any] = {name: yaml.safe_load(value) for name, _, value in pairs}
+        plant = SimulatedPlant(make_config(chosen.variant, overrides), chosen.timeout)
+    except (ValueError, yaml.YAMLError) as error:
+        parser.error(str(error))
     period = plant.description.period
     print(f"the plant listens at {chosen.address}, {1 / period:g} commands a second", flush=True)
     gc.freeze()  # what lives anyway is not looked through while the arm moves
     prioritize(chosen.priority)
-    serve(plant, chosen.address, tick=plant.advance, running=lambda: not ended, faults=Faults())
+    try:
+        serve(plant, chosen.address, tick=plant.advance, running=lambda: not ended, faults=Faults())
+    except OSError as error:
+        parser.error(str(error))
 
 
 if __name__ == "__main__":

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import logging
+import socket as sockets
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import closing
 from typing import Any
 
 import zmq
@@ -15,6 +18,8 @@ from .faults import DELAY, Faults
 from .protocol import ADDRESS, pack, to_message, unpack
 
 __all__ = ["serve"]
+
+log = logging.getLogger(__name__)
 
 
 def serve(
@@ -27,6 +32,8 @@ def serve(
 ) -> None:
     """Answer calls of :class:`~rrl.envs.plant.RemoteRobot` until ``running`` returns False.
 
+    However it ends, the robot is told to stop. Whatever its driver raises refuses the call.
+
     Args:
         robot: Whom the calls are for; it is closed at the end.
         address: Where to listen, a ZeroMQ address.
@@ -34,10 +41,13 @@ def serve(
             again.
         running: Whether to go on, asked after every call and tick.
         faults: What it may be told to do wrong, for tests; None: nothing.
+
+    Raises:
+        OSError: If somebody listens at the address already, or it is none.
     """
-    with zmq.Context() as context, context.socket(zmq.ROUTER) as socket:
+    with closing(robot), zmq.Context() as context, context.socket(zmq.ROUTER) as socket:
         socket.linger = 0
-        socket.bind(address)
+        _bind(socket, address)
         desk = _Desk(robot, socket, faults)
         try:
             while running():
@@ -46,7 +56,22 @@ def serve(
                     tick()  # what is measured is of the moment of the call
                     desk.answer(*socket.recv_multipart())
         finally:
-            robot.close()
+            robot.stop()
+
+
+def _bind(socket: zmq.Socket[bytes], address: str) -> None:
+    kind, _, path = address.partition("://")
+    try:
+        if kind == "ipc":  # ZeroMQ takes one over from whoever listens there, without a word
+            with sockets.socket(sockets.AF_UNIX) as probe:
+                if probe.connect_ex(path) == 0:
+                    raise OSError("somebody listens there")
+        socket.bind(address)
+    except (OSError, zmq.ZMQError) as error:
+        raise OSError(
+            f"address: expected a free one, such as {ADDRESS} or tcp://*:5555, got {address!r}: "
+            f"{error}; choose another, or end what listens there"
+        ) from error
 
 
 class _Desk:
@@ -60,16 +85,22 @@ class _Desk:
         self._answered: dict[bytes, tuple[int, bytes]] = {}  # the last call of each client
         self._late: deque[tuple[float, bytes, bytes]] = deque()
 
-    def answer(self, client: bytes, data: bytes) -> None:
-        """Do what a call says, once, and answer it."""
-        call = unpack(data)
-        number, last = call["number"], self._answered.get(client, (0, b""))
+    def answer(self, client: bytes, *packet: bytes) -> None:
+        """Do what a call says, once, and answer it; a packet that is none is dropped."""
+        try:
+            (data,) = packet
+            call = unpack(data)
+            number, name = int(call["number"]), str(call["call"])
+        except Exception as error:  # anybody may send anything
+            log.warning("a packet is dropped: expected a call of RemoteRobot's, got %r", error)
+            return
+        last = self._answered.get(client, (0, b""))
         if self.faults.active("drop") or number < last[0]:
             return
         if number > last[0]:
-            last = number, pack({"number": number, **self._perform(call)})
+            last = number, self._perform(number, name, call)
             self._answered[client] = last
-        if self.faults.active("delay") and call["call"] != "fault":
+        if self.faults.active("delay") and name != "fault":
             self._late.append((time.monotonic() + DELAY, client, last[1]))
         else:
             self.socket.send_multipart([client, last[1]])
@@ -81,27 +112,34 @@ class _Desk:
             self.socket.send_multipart([client, answer])
         return self._late[0][0] - time.monotonic() if self._late else 0.1
 
-    def _perform(self, call: dict[str, Any]) -> dict[str, Any]:
-        name = call["call"]
+    def _perform(self, number: int, name: str, call: dict[str, Any]) -> bytes:
+        """Do what a call says; return the answer."""
         try:
-            if name == "observe":
-                return self._observe()
-            if name == "command":
-                self.robot.command(call["action"])
-            elif name == "reset":
-                if self.faults.active("refuse"):
-                    raise RobotFault("told to")
-                self.robot.reset(call["seed"])
-            elif name == "stop":
-                self.robot.stop()
-            elif name == "fault" and self._may_fail:
-                self.faults.begin(call["kind"], call["seconds"])
-            elif name == "describe":
-                return {"description": to_message(self.robot.description)}
-            else:
-                return {"refused": f"expected observe, command, reset or stop, got {name!r}"}
+            return pack({"number": number, **self._ask(name, call)})
         except (RobotFault, ValueError) as error:
-            return {"refused": str(error)}
+            reason = str(error)
+        except Exception as error:  # of a driver, which anybody may have written
+            log.exception("%s failed", name)
+            reason = f"{type(error).__name__}: {error}"
+        return pack({"number": number, "refused": reason})
+
+    def _ask(self, name: str, call: dict[str, Any]) -> dict[str, Any]:
+        if name == "observe":
+            return self._observe()
+        if name == "describe":
+            return {"description": to_message(self.robot.description)}
+        if name == "command":
+            self.robot.command(call["action"])
+        elif name == "reset":
+            if self.faults.active("refuse"):
+                raise RobotFault("told to")
+            self.robot.reset(call["seed"])
+        elif name == "stop":
+            self.robot.stop()
+        elif name == "fault" and self._may_fail:
+            self.faults.begin(call["kind"], call["seconds"])
+        else:
+            raise RobotFault(f"expected observe, command, reset or stop, got {name!r}")
         return {}
 
     def _observe(self) -> dict[str, Any]:

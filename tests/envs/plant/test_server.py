@@ -1,0 +1,135 @@
+"""Whatever is sent to a served robot, and however its driver fails, it goes on, and stops at the end."""
+
+import threading
+from contextlib import contextmanager
+from functools import partial
+
+import numpy as np
+import pytest
+import zmq
+from plants import an_address
+
+from rrl.envs.plant import RemoteRobot, serve
+from rrl.envs.plant.__main__ import main
+from rrl.envs.plant.protocol import pack
+from rrl.robot import Description, EntrySpec, Observation, Robot, RobotFault
+
+
+class Recorder(Robot):
+    """Notes what it is told; its commands fail as they are told to."""
+
+    description = Description({"reward": EntrySpec((1,))}, (-1.0,), (1.0,), 0.05)
+
+    def __init__(self, error=None):
+        self.calls, self.error = [], error
+
+    def observe(self):
+        self.calls.append("observe")
+        return Observation({"reward": np.zeros(1, np.float32)}, 0.0)
+
+    def command(self, action):
+        self.calls.append("command")
+        if self.error is not None:
+            raise self.error
+
+    def reset(self, seed=None):
+        self.calls.append("reset")
+
+    def stop(self):
+        self.calls.append("stop")
+
+    def close(self):
+        self.calls.append("close")
+
+
+@contextmanager
+def served(robot, address):
+    """A client of a robot that is served while the body runs."""
+    over = threading.Event()
+    running = partial(serve, robot, address, tick=lambda: 0.01, running=lambda: not over.is_set())
+    server = threading.Thread(target=running)
+    server.start()
+    client = RemoteRobot(address, patience=1.0, connect_patience=5.0)
+    try:
+        yield client
+    finally:
+        client.close()
+        over.set()
+        server.join()
+
+
+def test_at_the_end_it_is_told_to_stop_and_is_closed():
+    robot = Recorder()
+    with served(robot, an_address()) as client:
+        client.command(np.zeros(1))
+    assert robot.calls == ["command", "stop", "close"]
+
+
+@pytest.mark.parametrize(
+    "packet",
+    [
+        [b"", pack({"call": "stop", "number": 1})],  # as zmq.REQ sends it
+        [b"hello"],
+        [b""],
+        [pack({"call": "stop"})],
+        [pack({"call": "stop", "number": "first"})],
+        [pack([1, 2])],
+    ],
+    ids=["request", "text", "nothing", "no number", "no such number", "no call"],
+)
+def test_a_packet_that_is_no_call_is_dropped(packet):
+    robot, address = Recorder(), an_address()
+    with (
+        served(robot, address) as client,
+        zmq.Context() as context,
+        context.socket(zmq.DEALER) as stranger,
+    ):
+        stranger.linger = 0
+        stranger.connect(address)
+        stranger.send_multipart(packet)
+        assert not stranger.poll(100)
+        client.command(np.zeros(1))
+    assert robot.calls == ["command", "stop", "close"]
+
+
+def test_whatever_a_driver_raises_refuses_the_call():
+    robot = Recorder(OSError("the cable is out"))
+    with served(robot, an_address()) as client:
+        with pytest.raises(RobotFault, match="command refused: OSError: the cable is out"):
+            client.command(np.zeros(1))
+        with pytest.raises(RobotFault, match="command refused: KeyError: 'action'"):
+            client.ask("command", 1.0)
+        with pytest.raises(RobotFault, match="dance refused: expected observe, command"):
+            client.ask("dance", 1.0)
+        client.observe()
+    assert robot.calls == ["command", "observe", "stop", "close"]
+
+
+@pytest.mark.parametrize("address", ["ipc://plant", "nowhere"])
+def test_an_address_that_is_taken_or_none_is_refused(address, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # a short path
+    first, second = Recorder(), Recorder()
+    with served(first, "ipc://plant") as client:
+        with pytest.raises(OSError, match=f"address: expected a free one.*got '{address}'"):
+            serve(second, address)
+        client.command(np.zeros(1))
+    assert second.calls == ["close"]
+    assert first.calls == ["command", "stop", "close"]
+    with served(second, "ipc://plant") as client:  # what the first one left behind is free
+        client.command(np.zeros(1))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["foo"], "task settings: expected names of"),
+        (["substeps=[1"], "expected ',' or ']'"),
+        (["substeps=0"], "substeps: expected"),
+        (["--address", "foo"], "address: expected a free one"),
+    ],
+)
+def test_the_command_says_what_is_wrong_with_its_arguments(arguments, message, capsys, monkeypatch):
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    with pytest.raises(SystemExit):
+        main([*arguments, "--priority", "0"])
+    assert message in capsys.readouterr().err
