@@ -49,9 +49,7 @@ class SimulatedPlant(Robot):
         self._began = time.monotonic()
         self.reset(0)
         entries = {n: EntrySpec(v.shape, str(v.dtype)) for n, v in self._outputs.items()}
-        bound = (1.0, 1.0, 1.0)
-        low = tuple(-b for b in bound)
-        self.description = Description(entries, low, bound, config.control_timestep)
+        self.description = Description(entries, (-1.0,) * 3, (1.0,) * 3, config.control_timestep)
 
     def observe(self) -> Observation:
         """Return what is measured now."""
@@ -82,14 +80,16 @@ class SimulatedPlant(Robot):
         self._execute()
 
     def advance(self) -> float:
-        """Bring physics up to now; return the seconds to the next control period or substep."""
+        """Bring physics up to now; return after how many seconds at most to do so again."""
         step, now = self.config.physics_timestep, time.monotonic()
         self._now = max(self._now, now - MOST_BEHIND)
         moved = False
         while self._now + step <= now:
             self._repeat()
             if not self._diverged:
+                before = self._data.time
                 mujoco.mj_step(self._model, self._data)
+                self._diverged = self._data.time < before + step / 2  # MuJoCo began anew
                 self._trace.append(self._data.sensordata.copy())
             self._now, moved = self._now + step, True
         if moved:

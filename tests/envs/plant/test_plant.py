@@ -71,6 +71,25 @@ def test_it_holds_the_last_command_and_then_stops():
     assert height() == pytest.approx(stopped, abs=5e-4)
 
 
+@pytest.mark.parametrize("velocity", [np.nan, 1e15])
+def test_physics_that_diverges_truncates_with_the_last_finite_observation(
+    velocity, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    robot = SimulatedPlant(make_config("sim"))
+    time.sleep(0.02)
+    before = robot.observe().entries
+    robot._data.qvel[0] = velocity
+    time.sleep(0.02)
+    after = robot.observe().entries
+    assert after["diverged"].all()
+    assert after["truncated"].all()
+    np.testing.assert_allclose(after["blocks"], before["blocks"], atol=1e-3)
+    robot.reset(0)
+    assert not robot.observe().entries["truncated"].any()
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_equal_seeds_give_equal_starts(env):
     starts = []
     for _ in range(2):
