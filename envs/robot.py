@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from torchrl.envs import EnvBase
 
 from rrl.keys import ACTION, REWARD
 from rrl.pace import Pace
-from rrl.robot import Observation, Robot, RobotFault
+from rrl.robot import EntrySpec, Observation, Robot, RobotFault
 
 __all__ = ["RobotEnv"]
 
@@ -31,7 +32,7 @@ class RobotEnv(EnvBase):
     Entries, bounds and period are those of the robot's description.
 
     Reads ``action``; writes the description's entries under their names (those with a slash
-    nested), ``reward`` [1], ``done``, ``terminated`` and ``truncated`` [1].
+    nested; one number is [1]), ``reward`` [1], ``done``, ``terminated`` and ``truncated`` [1].
 
     Args:
         robot: The robot, or what makes it.
@@ -42,7 +43,8 @@ class RobotEnv(EnvBase):
         pace: When the periods begin, and how late they did.
 
     Raises:
-        ValueError: If the description has no ``reward``, or an observation is not as described.
+        ValueError: If the description has no ``reward`` or an entry that cannot be, or an
+            observation is not as described.
         RobotFault: By steps and resets, if the robot is silent, frozen or refuses, or measures what
             is not finite.
     """
@@ -85,16 +87,18 @@ class RobotEnv(EnvBase):
         super().close(**kwargs)
 
     def _make_specs(self) -> None:
-        entries = dict(self.description.entries)
-        if entries.pop(REWARD, None) is None:
+        entries = self._entries = {
+            name: _readable(name, *entry) for name, entry in self.description.entries.items()
+        }
+        if REWARD not in entries:
             raise ValueError(
                 f"description.entries: expected {REWARD!r} among them, computed from what is "
                 f"measured, got {sorted(entries)}"
             )
         observation = Composite()
-        for name, (shape, dtype) in entries.items():
-            if name not in FLAGS:
-                observation[tuple(name.split("/"))] = _spec(shape, dtype)
+        for name, entry in entries.items():
+            if name not in (REWARD, *FLAGS):
+                observation[tuple(name.split("/"))] = _spec(entry)
         self.observation_spec = observation
         low, high = (
             torch.tensor(bound, dtype=torch.float32)
@@ -102,7 +106,9 @@ class RobotEnv(EnvBase):
         )
         self.action_spec = Bounded(low, high, shape=low.shape, dtype=torch.float32)
         self.reward_spec = Unbounded((1,), dtype=torch.float32)
-        self.done_spec = Composite({name: _spec((1,), "bool") for name in ("done", *FLAGS)})
+        self.done_spec = Composite(
+            {name: _spec(EntrySpec((1,), "bool")) for name in ("done", *FLAGS)}
+        )
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is None:
@@ -125,11 +131,12 @@ class RobotEnv(EnvBase):
     def _read(self) -> TensorDict:
         observation = self.robot.observe()
         entries = self._checked(observation)
-        terminated, truncated = (bool(entries.pop(name, [False])[0]) for name in FLAGS)
+        terminated, truncated = (bool(entries.pop(name, False)) for name in FLAGS)
         truncated |= self._stopped or self._steps >= self.episode_steps
         td = TensorDict({}, [])
         for name, value in entries.items():
-            td[tuple(name.split("/"))] = value
+            td[tuple(name.split("/"))] = value if value.ndim else value.reshape(1)
+        td[REWARD] = td[REWARD].float().reshape(1)
         flags = {"terminated": terminated, "truncated": truncated, "done": terminated or truncated}
         return td.update({name: torch.tensor([flag]) for name, flag in flags.items()})
 
@@ -142,13 +149,11 @@ class RobotEnv(EnvBase):
             )
         self._measured_at = observation.time
         entries = {}
-        for name, (shape, dtype) in self.description.entries.items():
+        for name, (shape, dtype) in self._entries.items():
             value = observation.entries.get(name)
-            if value is None or np.shape(value) != tuple(shape):
+            if value is None or np.shape(value) != shape:
                 got = "none" if value is None else f"the shape {np.shape(value)}"
-                raise ValueError(
-                    f"observation: expected {name!r} of the shape {tuple(shape)}, got {got}"
-                )
+                raise ValueError(f"observation: expected {name!r} of the shape {shape}, got {got}")
             array = np.array(value, dtype=dtype)  # a copy: a driver may write into its own again
             if array.dtype.kind == "f" and not np.isfinite(array).all():
                 raise RobotFault(f"{name}: expected finite numbers, got {array.tolist()}")
@@ -156,7 +161,28 @@ class RobotEnv(EnvBase):
         return entries
 
 
-def _spec(shape: tuple[int, ...], dtype: str) -> TensorSpec:
-    if dtype == "bool":
+def _readable(name: str, shape: Sequence[int], dtype: str) -> EntrySpec:
+    """Return a described entry with PyTorch's name for its type.
+
+    Raises:
+        ValueError: If it has no such type, or is no single number and has to be.
+    """
+    shape = tuple(shape)
+    if name in (REWARD, *FLAGS) and math.prod(shape) != 1:
+        raise ValueError(f"description.entries: expected {name!r} to be one number, got {shape}")
+    try:
+        kind = np.dtype(dtype).name
+        getattr(torch, kind)
+    except (TypeError, AttributeError):
+        raise ValueError(
+            f"description.entries: expected {name!r} of a type that NumPy and PyTorch have, such "
+            f"as float32 or bool, got {dtype!r}"
+        ) from None
+    return EntrySpec(shape, kind)
+
+
+def _spec(entry: EntrySpec) -> TensorSpec:
+    shape = entry.shape or (1,)
+    if entry.dtype == "bool":
         return Binary(n=shape[-1], shape=shape, dtype=torch.bool)
-    return Unbounded(tuple(shape), dtype=getattr(torch, dtype))
+    return Unbounded(shape, dtype=getattr(torch, entry.dtype))
