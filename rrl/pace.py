@@ -76,7 +76,7 @@ class Pace:
         self._deadline += self.period
 
 
-def prioritize(priority: int) -> None:
+def prioritize(priority: int) -> bool:
     """Have all threads of this process, and those that they start, come before ordinary ones.
 
     Where the system does not allow it, say so and go on: the loop is then as punctual as the other
@@ -84,27 +84,32 @@ def prioritize(priority: int) -> None:
 
     Args:
         priority: 1 to 99, of Linux's SCHED_FIFO; 0 changes nothing.
+
+    Returns:
+        Whether they do now.
     """
     if not priority:
-        return
+        return False
     try:
         _schedule(os.SCHED_FIFO, priority)
+        return True
     except (AttributeError, PermissionError, FileNotFoundError):
         log.warning(
             "priority: this system does not let the process have real-time priority %d; going on "
             "without (on Linux: ulimit -r, or CAP_SYS_NICE)",
             priority,
         )
+        return False
 
 
 @contextmanager
 def prioritized(priority: int) -> Iterator[None]:
     """Do :func:`prioritize` while the body runs; threads that it starts are ordinary afterwards."""
-    prioritize(priority)
+    comes_first = prioritize(priority)
     try:
         yield
     finally:
-        if priority and hasattr(os, "SCHED_FIFO"):
+        if comes_first:
             _schedule(os.SCHED_OTHER, 0)
 
 

@@ -78,3 +78,10 @@ def test_threads_that_end_meanwhile_do_not_matter():
     finally:
         over.set()
         other.join()
+
+
+def test_without_linuxs_list_of_threads_it_says_so_and_goes_on(tmp_path, monkeypatch, caplog):
+    monkeypatch.setattr("rrl.pace.Path", lambda path: tmp_path / "none")
+    with prioritized(1):
+        pass
+    assert "priority: this system does not let" in caplog.text
