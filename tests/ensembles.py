@@ -20,13 +20,13 @@ AS_TORCHRL = {EnsembleTD3Loss: "first", EnsembleSACLoss: "least"}
 each_loss = pytest.mark.parametrize("kind", [EnsembleTD3Loss, EnsembleSACLoss])
 
 
-def actor(kind, action):
+def actor(kind, action, observation="observation"):
     if issubclass(kind, TD3Loss):
         network = nn.Sequential(mlp(OBSERVATION, ACTION, hidden=[16]), nn.Tanh())
-        return TensorDictModule(network, ["observation"], [action])
+        return TensorDictModule(network, [observation], [action])
     network = nn.Sequential(mlp(OBSERVATION, 2 * ACTION, hidden=[16]), NormalParamExtractor())
     return ProbabilisticTensorDictSequential(
-        TensorDictModule(network, ["observation"], ["loc", "scale"]),
+        TensorDictModule(network, [observation], ["loc", "scale"]),
         ProbabilisticTensorDictModule(
             in_keys=["loc", "scale"],
             out_keys=[action],
@@ -36,7 +36,15 @@ def actor(kind, action):
     )
 
 
-def make_loss(kind, num_critics=2, keys=None, dropout=0.0, estimator=None, **arguments):
+def make_loss(
+    kind,
+    num_critics=2,
+    keys=None,
+    dropout=0.0,
+    estimator=None,
+    observation="observation",
+    **arguments,
+):
     """A loss on small networks, the same ones for every kind with the same actor, with targets of their own."""
     torch.manual_seed(0)
     names = {"action": "action", "state_action_value": "state_action_value"} | (keys or {})
@@ -46,7 +54,7 @@ def make_loss(kind, num_critics=2, keys=None, dropout=0.0, estimator=None, **arg
         else mlp(OBSERVATION + ACTION, 1, hidden=[16])
         for _ in range(num_critics)
     ]
-    inputs = ["observation", names["action"]]
+    inputs = [observation, names["action"]]
     if dropout:
         networks = [Joined(network) for network in networks]
     qs = [TensorDictModule(n, inputs, [names["state_action_value"]]) for n in networks]
@@ -58,7 +66,9 @@ def make_loss(kind, num_critics=2, keys=None, dropout=0.0, estimator=None, **arg
             arguments["scalar_output_mode"] = "exclude"
     if kind in TORCHRL:
         arguments = {"policy_value": AS_TORCHRL[kind]} | arguments
-    loss = kind(actor(kind, names["action"]), qs, num_qvalue_nets=num_critics, **arguments)
+    loss = kind(
+        actor(kind, names["action"], observation), qs, num_qvalue_nets=num_critics, **arguments
+    )
     if keys:
         loss.set_keys(**keys)
     loss.make_value_estimator(estimator or ValueEstimators.TD0, gamma=0.9)

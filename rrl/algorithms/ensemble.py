@@ -135,20 +135,30 @@ class _Ensemble:
         return loss.mean() if self.reduction == "mean" else loss.sum()
 
     def _weight(self, loss: Tensor, tensordict: TensorDictBase) -> Tensor | None:
-        """Return how much each step counts, shaped as the loss; None: all count alike."""
+        """Return how much each step counts, shaped as the loss; None: all count alike.
+
+        Masks and weights are of steps ``[*batch]`` or ``[*batch, 1]``; a loss of several agents has
+        a further dimension.
+        """
         key, found = self.loss_mask_key, []
         for name in AUTO_LOSS_MASK_KEYS if key == "auto" else [] if key is None else [key]:
             found.append(tensordict.get(name, None))
         if self.use_prioritized_weights:
             found.append(tensordict.get(self.tensor_keys.priority_weight, None))
-        weights = [w.reshape(loss.shape).to(loss) for w in found if w is not None]
+        weights = []
+        for weight in (w for w in found if w is not None):
+            flat = weight.squeeze(-1) if weight.ndim > loss.ndim else weight
+            further = [1] * (loss.ndim - flat.ndim)
+            weights.append(flat.reshape(*flat.shape, *further).expand_as(loss).to(loss))
         return torch.stack(weights).prod(0) if weights else None
 
 
 class EnsembleTD3Loss(_Ensemble, TD3Loss):
     """:class:`torchrl.objectives.TD3Loss` with an ensemble of critics (REDQ, Chen et al., 2021).
 
-    With two critics, both in the target, and ``policy_value="first"`` it is ``TD3Loss``.
+    With two critics, both in the target, and ``policy_value="first"`` it is ``TD3Loss``, but for
+    ``state_action_value_actor``, which holds those critics alone that the policy climbs. With
+    ``deactivate_vmap=True`` it is one that :func:`torch.compile` can follow.
 
     Args:
         actor_network: The policy.
@@ -186,7 +196,8 @@ class EnsembleTD3Loss(_Ensemble, TD3Loss):
 class EnsembleSACLoss(_Ensemble, SACLoss):
     """:class:`torchrl.objectives.SACLoss` with an ensemble of critics (REDQ, Chen et al., 2021).
 
-    With two critics, both in the target, and ``policy_value="least"`` it is ``SACLoss``.
+    With two critics, both in the target, and ``policy_value="least"`` it is ``SACLoss``. With
+    ``deactivate_vmap=True`` it is one that :func:`torch.compile` can follow.
 
     Args:
         actor_network: The stochastic policy.

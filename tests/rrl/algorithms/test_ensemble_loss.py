@@ -79,6 +79,41 @@ def test_masked_steps_do_not_count(kind, reduction, weighted, mask):
     assert_same(found, expected)
 
 
+@each_loss
+@pytest.mark.parametrize("weighted", [False, True])
+def test_a_mask_of_steps_holds_for_several_agents(kind, weighted):
+    """Two agents' losses [B, 2] under one mask [B, 1]."""
+    keys = {name: ("agents", name) for name in ("action", "reward", "done", "terminated")}
+    keys["state_action_value"] = ("agents", "value")
+    loss = make_loss(kind, num_critics=4, keys=keys, observation=("agents", "observation"))
+    one, other = batches(2).unbind(0)
+    entries = torch.stack([one, other], 1)  # (B, 2)
+    root = {"agents": entries.exclude("next"), "next": {"agents": entries["next"]}}
+    data = TensorDict(root, [BATCH])
+    kept = torch.arange(BATCH) % 3 > 0
+    data["collector", "mask"] = kept.unsqueeze(-1)
+    if weighted:
+        data["priority_weight"] = torch.ones(BATCH)
+    spoilt = data.clone()
+    spoilt["next", "agents", "reward"][~kept] = 100.0
+    found, expected = (losses_and_gradients(loss, d)[0] for d in (spoilt, data))
+    assert_same(found, expected)
+    assert found["loss_qvalue"].isfinite()
+
+
+@each_loss
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")
+def test_without_vmap_torch_can_compile_it(kind):
+    data = batches(1)[0]
+    eager, compiled = (make_loss(kind, num_critics=4, deactivate_vmap=True) for _ in range(2))
+    torch.manual_seed(5)
+    expected = eager(data.clone())["loss_qvalue"]
+    torch.manual_seed(5)
+    found = torch.compile(compiled, backend="eager")(data.clone())["loss_qvalue"]
+    torch.testing.assert_close(found, expected)
+
+
 def test_the_temperature_stays_within_its_bounds():
     """It is 0.5 when the loss is made."""
     data = batches(1)[0]
