@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from rrl.checks import check
 
 __all__ = ["Multiplier"]
@@ -25,15 +27,20 @@ class Multiplier:
         value: lambda.
 
     Raises:
-        ValueError: If a number is not positive, or ``initial`` is negative.
+        ValueError: If a number is not positive or finite, or ``initial`` is negative.
     """
 
     def __init__(self, budget: float, rate: float, initial: float = 0.0) -> None:
-        check("budget", budget, "a positive number", budget > 0)
-        check("rate", rate, "a positive number", rate > 0)
-        check("initial", initial, "a number of at least 0", initial >= 0)
+        check("budget", budget, "a positive number", 0 < budget < math.inf)
+        check("rate", rate, "a positive number", 0 < rate < math.inf)
+        check("initial", initial, "a number of at least 0", 0 <= initial < math.inf)
         self.budget, self.rate, self.value = float(budget), float(rate), float(initial)
 
     def adapt(self, sample: float) -> None:
-        """Take one step."""
+        """Take one step.
+
+        Raises:
+            ValueError: If the sample is not finite, which no price follows from.
+        """
+        check("sample", sample, "a finite number", math.isfinite(sample))
         self.value = max(0.0, self.value + self.rate * (sample / self.budget - 1.0))

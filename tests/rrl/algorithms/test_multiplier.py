@@ -1,5 +1,7 @@
 """A price finds the budget, from wherever it starts."""
 
+import math
+
 import pytest
 
 from rrl import Multiplier
@@ -15,8 +17,17 @@ def test_the_price_settles_where_the_budget_is_kept(initial):
 
 
 @pytest.mark.parametrize(
-    ("argument", "value"), [("budget", 0.0), ("rate", -1.0), ("initial", -0.1)]
+    ("argument", "value"),
+    [("budget", 0.0), ("rate", -1.0), ("rate", math.inf), ("initial", -0.1)],
 )
 def test_numbers_out_of_range_are_named(argument, value):
     with pytest.raises(ValueError, match=f"{argument}: expected"):
         Multiplier(**{"budget": 1.0, "rate": 0.1, argument: value})
+
+
+@pytest.mark.parametrize("sample", [math.nan, math.inf])
+def test_the_price_does_not_follow_what_is_no_number(sample):
+    price = Multiplier(budget=1.0, rate=0.1, initial=2.0)
+    with pytest.raises(ValueError, match=f"sample: expected a finite number, got {sample}"):
+        price.adapt(sample)
+    assert price.value == 2.0
