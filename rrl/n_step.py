@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor
+
+from rrl.checks import check_whole
 
 __all__ = ["STEPS", "n_step_transitions"]
 
@@ -32,16 +33,16 @@ def n_step_transitions(data: TensorDictBase, n: int, gamma: float) -> TensorDict
         The same entries, ``[..., T]``, and ``steps_to_next_obs`` [..., T, 1], float32.
 
     Raises:
-        ValueError: if ``n`` is below 1.
+        ValueError: if ``n`` is no whole number of at least 1.
 
     """
-    if n < 1:
-        raise ValueError(f"n_step: expected at least 1 step, got {n}")
+    n = check_whole("n_step", n, 1)
     flat = data.reshape(-1, data.shape[-1])  # (B, T)
     done, rewards = flat["next", "done"].squeeze(-1), flat["next", "reward"].squeeze(-1)
     batch, time = done.shape
-    last = torch.arange(time).repeat(batch, 1)  # (B, T): index of the last step of each window
-    total, rows = rewards.clone(), torch.arange(batch).unsqueeze(-1)
+    steps = torch.arange(time, device=done.device)
+    last = steps.repeat(batch, 1)  # (B, T): index of the last step of each window
+    total, rows = rewards.clone(), torch.arange(batch, device=done.device).unsqueeze(-1)
     for i in range(1, n):
         following = (last + 1).clamp_max(time - 1)
         goes_on = ~done[rows, last] & (last + 1 < time)
@@ -51,9 +52,5 @@ def n_step_transitions(data: TensorDictBase, n: int, gamma: float) -> TensorDict
     out = flat.exclude("next")
     out["next"] = flat["next"][rows, last]
     out["next", "reward"] = total.unsqueeze(-1)
-    out[STEPS] = _lengths(last).unsqueeze(-1)
+    out[STEPS] = (last - steps + 1).to(torch.float32).unsqueeze(-1)
     return out.reshape(data.shape)
-
-
-def _lengths(last: Tensor) -> Tensor:
-    return (last - torch.arange(last.shape[-1]) + 1).to(torch.float32)

@@ -81,6 +81,13 @@ def test_environments_do_not_mix_and_the_data_is_left_alone() -> None:
     assert (n_step_transitions(one[0], 3, GAMMA) == out[0]).all()
 
 
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="without a GPU")
+def test_data_may_lie_on_a_gpu() -> None:
+    data = episode(terminated_at=3)
+    there = n_step_transitions(data.to("cuda"), 3, GAMMA)
+    assert (there.cpu() == n_step_transitions(data, 3, GAMMA)).all()
+
+
 def test_a_bad_number_of_steps_is_named() -> None:
-    with pytest.raises(ValueError, match="n_step: expected at least 1"):
+    with pytest.raises(ValueError, match="n_step: expected a whole number of at least 1"):
         n_step_transitions(episode(), 0, GAMMA)
