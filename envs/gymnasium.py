@@ -62,6 +62,8 @@ def gymnasium_env(
     class Reporting(gymnasium.Wrapper):
         """Seeds, writes ``success`` into every ``info``, tells the state for videos."""
 
+        solved = False
+
         def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, Any]:
             if seed is None or seed_env is None:
                 observation, info = self.env.reset(seed=seed, options=options)

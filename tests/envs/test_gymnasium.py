@@ -8,6 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.envs import SerialEnv, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
@@ -118,6 +119,17 @@ def test_success_as_a_function_of_the_environment() -> None:
 def test_without_success_there_is_no_such_entry() -> None:
     assert "success" not in gymnasium_env(Reach).observation_spec.keys()  # noqa: SIM118
     assert "success" not in gymnasium_env("Pendulum-v1").reset()
+
+
+def test_a_step_before_the_first_reset_is_as_the_environment_has_it() -> None:
+    class Ready(Reach):
+        position, goal = np.zeros(2), np.ones(2)
+
+    env = gymnasium_env(Ready, success="is_success")
+    following = env.step(TensorDict({"action": torch.zeros(2, dtype=torch.float64)}))["next"]
+    assert not following["success"].any()
+    env = gymnasium_env(Ready)
+    env.step(TensorDict({"action": torch.zeros(2, dtype=torch.float64)}))
 
 
 def test_success_that_info_lacks() -> None:
