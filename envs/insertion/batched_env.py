@@ -11,6 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from rrl.checks import check_whole
 from rrl.keys import ACTION, DIVERGED, REWARD
 from rrl.threads import available_threads
 
@@ -74,11 +75,14 @@ class InsertionEnv(EnvBase):
         **overrides: Any,
     ) -> None:
         self.check_arguments(variant, num_envs, num_threads, seed, **overrides)
+        num_envs = int(num_envs)
         super().__init__(device="cpu", batch_size=[num_envs])
         self.config = make_config(variant, overrides)
         self.num_envs = num_envs
         self.num_diverged = 0
-        threads = num_threads or max(1, min(available_threads(), num_envs // ENVS_PER_THREAD))
+        threads = int(num_threads or 0) or max(
+            1, min(available_threads(), num_envs // ENVS_PER_THREAD)
+        )
         self._simulation = BatchSimulation(self.config, num_envs, threads)
         self._steps = np.zeros(num_envs, dtype=np.int64)
         # What the last step wrote: slots that do not step, or diverge, write it again.
@@ -104,9 +108,9 @@ class InsertionEnv(EnvBase):
         Raises:
             ValueError: If the constructor would raise it.
         """
-        _check_count("num_envs", num_envs, 1)
-        _check_count("num_threads", 1 if num_threads is None else num_threads, 1)
-        _check_count("seed", 0 if seed is None else seed, 0)
+        check_whole("num_envs", num_envs, 1)
+        check_whole("num_threads", 1 if num_threads is None else num_threads, 1)
+        check_whole("seed", 0 if seed is None else seed, 0)
         config = make_config(variant, overrides)
         quantities.reward_weights(config)
         return quantities.observation_sizes(config)
@@ -130,7 +134,7 @@ class InsertionEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         if seed is None:
             seed = int(torch.randint(2**31, ()).item())
-        self._generators = [np.random.default_rng(seed + i) for i in range(self.num_envs)]
+        self._generators = [np.random.default_rng(int(seed) + i) for i in range(self.num_envs)]
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get("_reset", None)
@@ -145,7 +149,7 @@ class InsertionEnv(EnvBase):
         return self._pack(diverged=nothing, truncated=nothing).exclude(REWARD)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        action = tensordict[ACTION].detach().numpy().astype(np.float64)
+        action = tensordict[ACTION].detach().double().numpy()
         action = check_action(action, self.num_envs)
         mask = tensordict.get("_step", None)  # slots that take this step; None: all
         partly = mask is not None and not bool(mask.all())
@@ -248,8 +252,3 @@ class InsertionEnv(EnvBase):
         """End the physics threads."""
         self._simulation.close()
         super().close(**kwargs)
-
-
-def _check_count(name: str, value: object, least: int) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or value < least:
-        raise ValueError(f"{name}: expected a whole number of at least {least}, got {value!r}")

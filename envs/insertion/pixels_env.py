@@ -69,7 +69,7 @@ class InsertionPixelsEnv(InsertionEnv):
         super().__init__(variant, num_envs, num_threads, seed, **overrides)
         simulation = self._simulation
         self.camera = TaskCamera(simulation.models[0], simulation.start, config)
-        shape = (num_envs, picture_size, picture_size, 3)
+        shape = (self.num_envs, picture_size, picture_size, 3)
         self._pixels = np.zeros(shape, dtype=np.uint8)
         self._shown = np.full((num_envs, simulation.state.shape[1] + 4), np.nan)
         observation = self.observation_spec.clone()
