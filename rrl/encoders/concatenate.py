@@ -42,7 +42,6 @@ class Concatenate(nn.Module):
                 except (ValueError, TypeError) as error:
                     raise ValueError(f"inputs.{key}.{error}") from error
         self._inputs = dict(inputs)
-        self._shapes = [entry.shape for entry in inputs.values()]
         for field, parts in columns.items():
             self.register_buffer(field, torch.cat(parts))
         self.register_buffer("limit", torch.full_like(self.loc, torch.inf))
@@ -72,8 +71,8 @@ class Concatenate(nn.Module):
     def forward(self, *values: Tensor) -> Tensor:
         """Return features ``[*batch, n]`` of entries ``[*batch, *shape]``."""
         flat = [
-            value.reshape(*value.shape[: value.ndim - len(shape)], -1).to(self.loc)
-            for value, shape in zip(values, self._shapes, strict=True)
+            value.reshape(*value.shape[: value.ndim - len(entry.shape)], entry.size).to(self.loc)
+            for value, entry in zip(values, self._inputs.values(), strict=True)
         ]
         joined = torch.cat(flat, -1) if len(flat) > 1 else flat[0]
         return ((joined - self.loc) * self.scale).clamp(-self.limit, self.limit)

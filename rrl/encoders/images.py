@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from typing import Any
 
@@ -49,6 +50,10 @@ class ImagesBesideNumbers(nn.Module):
         numbers = {key: entry for key, entry in inputs.items() if not entry.is_image}
         self.numbers = Concatenate(numbers) if numbers else None
         self._inputs = dict(inputs)
+        self._seen = [i for i, key in enumerate(inputs) if key in self.images]
+        self._beside = [i for i, key in enumerate(inputs) if key in numbers]
+        self.calibrated_by: list[NestedKey] = list(numbers)
+        """The entries that :meth:`calibrate` takes: the numbers."""
 
     @abstractmethod
     def see(self, camera: int, images: Tensor) -> Tensor:
@@ -60,11 +65,6 @@ class ImagesBesideNumbers(nn.Module):
         beside = 0 if self.numbers is None else self.numbers.out_features
         return len(self.images) * self.features + beside
 
-    @property
-    def calibrated_by(self) -> list[NestedKey]:
-        """The entries that :meth:`calibrate` takes: the numbers."""
-        return [key for key, entry in self._inputs.items() if not entry.is_image]
-
     def calibrate(self, *numbers: Tensor) -> dict[NestedKey, Any]:
         """Standardize the numbers ``[n, *shape]``; see :meth:`Concatenate.calibrate`."""
         return {} if self.numbers is None else self.numbers.calibrate(*numbers)
@@ -72,22 +72,14 @@ class ImagesBesideNumbers(nn.Module):
     def forward(self, *values: Tensor) -> Tensor:
         """Return features ``[*batch, n]`` of entries ``[*batch, *shape]``."""
         seen = []
-        pictures = [
-            (entry, value)
-            for entry, value in zip(self._inputs.values(), values, strict=True)
-            if entry.is_image
-        ]
-        for camera, (entry, value) in enumerate(pictures):
-            batch = value.shape[: value.ndim - len(entry.shape)]
-            images = as_channels_first(value, entry)
+        for camera, (i, entry) in enumerate(zip(self._seen, self.images.values(), strict=True)):
+            batch = values[i].shape[: values[i].ndim - len(entry.shape)]
+            images = as_channels_first(values[i], entry)
             images = images.float() / 255.0 if images.dtype == torch.uint8 else images.float()
             seen.append(self.see(camera, images).reshape(*batch, self.features))
-        beside = [] if self.numbers is None else [self.numbers(*self._beside(values))]
-        return torch.cat([*seen, *beside], -1)
-
-    def _beside(self, values: tuple[Tensor, ...]) -> list[Tensor]:
-        entries = self._inputs.values()
-        return [v for entry, v in zip(entries, values, strict=True) if not entry.is_image]
+        if self.numbers is not None:
+            seen.append(self.numbers(*(values[i] for i in self._beside)))
+        return torch.cat(seen, -1)
 
 
 def as_channels_first(value: Tensor, entry: Input) -> Tensor:
@@ -95,4 +87,4 @@ def as_channels_first(value: Tensor, entry: Input) -> Tensor:
     images = value.reshape(-1, *entry.shape)
     if entry.channels == "last":
         images = images.movedim(-1, -3)
-    return images.reshape(len(images), -1, *images.shape[-2:])
+    return images.reshape(len(images), math.prod(images.shape[1:-2]), *images.shape[-2:])

@@ -24,6 +24,6 @@ def random_shift(images: Tensor, most: int) -> Tensor:
     shift = (torch.rand(2, batch, 1) * (2 * most + 1)).long() - most
     rows = (torch.arange(height) + shift[0]).clamp(0, height - 1)  # (B, H)
     columns = (torch.arange(width) + shift[1]).clamp(0, width - 1)  # (B, W)
-    source = (rows.unsqueeze(2) * width + columns.unsqueeze(1)).reshape(batch, 1, -1)
+    source = (rows.unsqueeze(2) * width + columns.unsqueeze(1)).flatten(1).unsqueeze(1)
     source = source.expand(batch, channels, height * width).to(images.device)
     return images.flatten(2).gather(2, source).reshape(images.shape)
