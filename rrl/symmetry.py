@@ -28,8 +28,7 @@ class Symmetry:
     Args:
         mirrors: for each mirror the map of the observation and the map of the action, such as
             ``(-1, 2)`` for two numbers of which the mirror turns the first. Centres of mirroring
-            must be 0: see
-            :class:`rrl.trainers.environment.Input`.
+            must be 0: see :class:`rrl.inputs.Input`.
 
     Raises:
         ValueError: if a map is no signed permutation, the maps' lengths differ between mirrors, or

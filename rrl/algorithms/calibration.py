@@ -52,7 +52,7 @@ def warmup_length(episode_steps: int, total_steps: int, multiple: int) -> int:
 
 
 def penalty_updates(episode_steps: int) -> int:
-    """Return after how many updates the residual's price is halved: two for each of 10 episodes.
+    """Return after how many updates the residual's price is halved: two a step of 10 episodes.
 
     Args:
         episode_steps: Steps of an episode.
