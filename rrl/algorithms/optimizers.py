@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -11,19 +11,12 @@ from torch.optim.adam import adam
 
 from rrl.algorithms.compilation import being_traced
 
-__all__ = ["Adam", "Optimizer", "OptimizerFactory", "TorchOptimizer"]
-
-
-class Optimizer(Protocol):
-    """What an agent asks of an optimizer; it is a ``torch.nn.Module`` whose state is saved."""
-
-    def step(self, grads: Sequence[Tensor]) -> None:
-        """Apply one update with one gradient per parameter, in the order of construction."""
-        ...
+__all__ = ["Adam", "OptimizerFactory", "TorchOptimizer"]
 
 
 OptimizerFactory = Callable[..., nn.Module]
-"""Called with the parameters and ``lr``; gives an :class:`Optimizer`."""
+"""Called with the parameters and ``lr``; gives a module whose state is saved, and whose ``step``
+takes one gradient per parameter, in their order, and applies one update."""
 
 
 class Adam(nn.Module):
@@ -113,15 +106,18 @@ class TorchOptimizer(nn.Module):
         arguments: Further arguments of that class.
 
     Raises:
-        ValueError: If ``torch.optim`` has no such class.
+        ValueError: If ``torch.optim`` has no such optimizer.
     """
 
     def __init__(self, params: Iterable[Tensor], lr: float, name: str, **arguments: Any) -> None:
         super().__init__()
-        if not hasattr(torch.optim, name):
-            raise ValueError(f"name: expected a class of torch.optim, got {name!r}")
+        make: Any = getattr(torch.optim, name, None)
+        base = torch.optim.Optimizer
+        is_one = isinstance(make, type) and issubclass(make, base) and make is not base
+        if not is_one:
+            raise ValueError(f"name: expected an optimizer of torch.optim, got {name!r}")
         self.params = list(params)
-        self._optimizer = getattr(torch.optim, name)(self.params, lr=lr, **arguments)
+        self._optimizer = make(self.params, lr=lr, **arguments)
 
     def step(self, grads: Sequence[Tensor]) -> None:
         """Apply one update.
