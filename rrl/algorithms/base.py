@@ -21,16 +21,14 @@ from rrl.algorithms.readings import Readings, with_shapes
 from rrl.algorithms.reward_scale import RewardScale
 from rrl.algorithms.settings import AgentSettings
 from rrl.algorithms.symmetric_actor import SymmetricActor
-from rrl.algorithms.transfer import take_over
-from rrl.algorithms.updates import Step, Updates
+from rrl.algorithms.transfer import take_over, twin
+from rrl.algorithms.updates import UPDATES_PER_GRAPH, Step, Updates
+from rrl.checks import check_whole
 from rrl.inputs import Input
-from rrl.keys import ACTION
+from rrl.keys import ACTION, REWARD
 from rrl.symmetry import Symmetry
 
 __all__ = ["Agent"]
-
-UPDATES_PER_GRAPH = 4
-"""At most: every further one saves less time in a call and takes as long to compile."""
 
 
 class Agent(nn.Module, ABC):
@@ -84,14 +82,13 @@ class Agent(nn.Module, ABC):
         self.readings = Readings(self.inputs, self.critic_inputs, self.settings.encoder)
         self.encoders = nn.ModuleList(reading.encoder for reading in self.readings)
         self.read_keys = [reading.key for reading in self.readings]
-        self.action_size, self.symmetry = action_size, symmetry
+        self.action_size, self.symmetry = check_whole("action_size", action_size, 1), symmetry
         self.num_updates = 0
         if symmetry is not None:
             if self.readings.learn or critic_inputs:
                 raise ValueError(
                     "symmetry: expected an encoder that learns nothing and critics that read what "
-                    "the policy reads; set use_symmetries to false to learn from images or from "
-                    "critic_inputs"
+                    "the policy reads; set use_symmetries to false to do without symmetry"
                 )
             symmetry.check_sizes(self.encoder.out_features, action_size)
 
@@ -110,8 +107,8 @@ class Agent(nn.Module, ABC):
         network = self.settings.network(
             in_features=self.encoder.out_features, out_features=out_features
         )
-        bound, layer = self.settings.last_layer_bound, last_layer(network)
-        for parameter in (layer.weight, layer.bias):
+        bound = self.settings.last_layer_bound
+        for parameter in last_layer(network).parameters():
             nn.init.uniform_(parameter, -bound, bound)
         return network.float()
 
@@ -138,7 +135,7 @@ class Agent(nn.Module, ABC):
     def acting_network(self, actor: nn.Module) -> nn.Module:
         """Return the network from the inputs to the actor's output, symmetric if the task is."""
         network = actor if self.symmetry is None else SymmetricActor(actor, self.symmetry)
-        return EncodedNetwork(self.encoder, network, len(self.inputs))
+        return EncodedNetwork(self.encoder, network)
 
     def learn_from(
         self, loss: LossModule, critic_params: TensorDictBase, actor_params: TensorDictBase
@@ -204,10 +201,13 @@ class Agent(nn.Module, ABC):
         Returns:
             Means over the ``k`` updates: ``loss_critic``, ``loss_actor`` (absent while no policy
             update was due) and what the algorithm adds; ``reward_scale`` if it is derived.
+
+        Raises:
+            ValueError: If the transitions are not ``[k, B]``.
         """
         fall = 1 + self.num_updates / self.penalty_updates
         self.residual_weight.fill_(self.settings.residual_penalty / fall)
-        batches = self._encoded(batches)
+        batches = self._prepared(batches)
         if self.symmetry is not None:
             self.symmetry.reflect_transitions(batches)
         entries = sorted(batches.items(True, True), key=lambda item: str(item[0]))
@@ -221,11 +221,11 @@ class Agent(nn.Module, ABC):
             history["reward_scale"] = [self.reward_scale.reshape(1).clone()]
         return {name: torch.cat(values).mean() for name, values in history.items()}
 
-    def _encoded(self, batches: TensorDictBase) -> TensorDict:
-        """Return what the updates need, with a fixed encoder's features in the entries' place."""
-        out = self.readings.prepare(batches)
-        out["next", "reward"] = batches["next", "reward"] * self.reward_scale
-        return out
+    def _prepared(self, batches: TensorDictBase) -> TensorDict:
+        """Return what the updates need, in their precision."""
+        out, scale = self.readings.prepare(batches), self.reward_scale
+        action, reward = (out[key].to(scale.dtype) for key in (ACTION, ("next", REWARD)))
+        return out.update({ACTION: action, "next": {REWARD: reward * scale}})
 
     def _plan(self, k: int) -> Iterator[tuple[int, tuple[Step, ...]]]:
         """Yield the next ``k`` updates in parts, up to a policy update each, with their place."""
@@ -286,6 +286,9 @@ class Agent(nn.Module, ABC):
             loss.actor_network_params.to_module(loss.actor_network),
         ):
             return loss.actor_network(acting)[ACTION]
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Agent:
+        return twin(self)
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return what a checkpoint needs beyond tensors."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -37,7 +38,7 @@ class Linear(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Map ``[*batch, in]`` to ``[*batch, out]``."""
         flat = torch.addmm(self.bias, x.reshape(-1, x.shape[-1]), self.weight)
-        return flat.reshape(*x.shape[:-1], -1)
+        return flat.reshape(*x.shape[:-1], self.bias.numel())
 
 
 class _MLP(nn.Sequential):
@@ -78,20 +79,18 @@ class EncodedNetwork(nn.Module):
 
     Args:
         encoder: From input entries to features.
-        network: From features, and further values, to the output.
-        num_entries: How many of the values that come go through the encoder.
+        network: From features to the output.
     """
 
-    def __init__(self, encoder: nn.Module, network: nn.Module, num_entries: int) -> None:
+    def __init__(self, encoder: nn.Module, network: nn.Module) -> None:
         super().__init__()
-        self.encoder, self.network, self.num_entries = encoder, network, num_entries
+        self.encoder, self.network = encoder, network
 
     def forward(self, *values: Tensor) -> Tensor:
         """Return the network's output ``[*batch, out]`` on the device of the values."""
         device = next(self.network.parameters()).device
-        moved = [value.to(device) for value in values]
-        features = self.encoder(*moved[: self.num_entries])
-        return self.network(features, *moved[self.num_entries :]).to(values[0].device)
+        features = self.encoder(*(value.to(device) for value in values))
+        return self.network(features).to(values[0].device)
 
 
 class FirstOnly(nn.Module):
@@ -110,13 +109,13 @@ class FirstOnly(nn.Module):
         return self.network(first)
 
 
-def last_layer(network: nn.Module) -> nn.Linear | Linear:
+def last_layer(network: nn.Module) -> Any:
     """Return the last linear layer of a network.
 
     Raises:
         ValueError: If it has none.
     """
-    return dict(_linear_layers(network))[last_layer_name(network)]
+    return network.get_submodule(last_layer_name(network))
 
 
 def last_layer_name(network: nn.Module) -> str:
@@ -125,11 +124,7 @@ def last_layer_name(network: nn.Module) -> str:
     Raises:
         ValueError: If it has none.
     """
-    layers = _linear_layers(network)
-    if not layers:
+    names = [n for n, m in network.named_modules() if isinstance(m, (nn.Linear, Linear))]
+    if not names:
         raise ValueError(f"network: expected a linear output layer, got {network}")
-    return layers[-1][0]
-
-
-def _linear_layers(network: nn.Module) -> list[tuple[str, nn.Linear | Linear]]:
-    return [(n, m) for n, m in network.named_modules() if isinstance(m, (nn.Linear, Linear))]
+    return names[-1]

@@ -9,6 +9,7 @@ import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
 
+from rrl.checks import check, check_whole, require
 from rrl.encoders.interface import EncoderFactory, Inputs
 from rrl.inputs import Input
 from rrl.keys import CRITIC_OBSERVATION, OBSERVATION
@@ -19,9 +20,13 @@ __all__ = ["Reading", "Readings", "with_shapes"]
 def with_shapes(inputs: Mapping[NestedKey, Input | int] | None) -> dict[NestedKey, Input]:
     """Return inputs; a number stands for a vector of that size."""
     return {
-        key: Input(shape=(entry,)) if isinstance(entry, int) else entry
+        key: entry if isinstance(entry, Input) else Input(shape=(_size(key, entry),))
         for key, entry in (inputs or {}).items()
     }
+
+
+def _size(key: NestedKey, entry: int) -> int:
+    return check_whole(f"inputs.{key}", entry, 1)
 
 
 class Reading:
@@ -69,8 +74,8 @@ class Reading:
     def prepare(self, entries: TensorDictBase, out: TensorDictBase) -> None:
         """Set what an update needs: the features, or the entries that they are learned from."""
         if self.learned:
-            for key in self.keys:
-                out.set(key, entries.get(key))
+            for key, value in zip(self.keys, self._values(entries), strict=True):
+                out.set(key, value)
         else:
             with torch.no_grad():
                 out.set(self.key, self._features(entries))
@@ -90,7 +95,10 @@ class Reading:
                 batch.set(self.key, self._features(batch))
 
     def _features(self, entries: TensorDictBase) -> Tensor:
-        return self.encoder(*(entries.get(key) for key in self.keys))
+        return self.encoder(*self._values(entries))
+
+    def _values(self, entries: TensorDictBase) -> list[Tensor]:
+        return [require(self.encoder, entries, key) for key in self.keys]
 
 
 class Readings:
@@ -111,10 +119,11 @@ class Readings:
         learn: Whether an encoder learns.
 
     Raises:
-        ValueError: If an entry is called as features are.
+        ValueError: If there is no entry, or one is called as features are.
     """
 
     def __init__(self, inputs: Inputs, critic_inputs: Inputs, make_encoder: EncoderFactory) -> None:
+        check("inputs", list(inputs), "at least one observation entry", bool(inputs))
         for key in (OBSERVATION, CRITIC_OBSERVATION):
             if key in inputs or key in critic_inputs:
                 raise ValueError(
@@ -140,7 +149,18 @@ class Readings:
         return {key for reading in self._all for key in reading.calibrated_by}
 
     def prepare(self, batches: TensorDictBase) -> TensorDict:
-        """Return transitions with the features of fixed encoders in the place of entries."""
+        """Return transitions with the features of fixed encoders in the place of entries.
+
+        Raises:
+            KeyError: If an entry is missing.
+            ValueError: If the transitions are not ``[k, B]``.
+        """
+        check(
+            "batches",
+            list(batches.shape),
+            "transitions [k, B]; unsqueeze one batch",
+            batches.ndim == 2,
+        )
         following = batches.get("next")
         entries = [key for reading in self._all for key in reading.keys]
         out, out_next = batches.exclude("next", *entries), following.exclude(*entries)

@@ -38,7 +38,7 @@ class RewardScale(nn.Module):
     def __init__(self, given: float | None) -> None:
         super().__init__()
         self.derives, self.known = given is None, False
-        self.register_buffer("value", torch.tensor(given or 1.0))
+        self.register_buffer("value", torch.tensor(1.0 if given is None else given))
 
     @torch.no_grad()
     def follow(

@@ -82,8 +82,13 @@ class SAC(Agent):
         super().__init__(inputs, action_size, **arguments)
         settings = self.settings
         network = self.make_actor(2 * action_size)
+        if (bias := last_layer(network).bias) is None:
+            raise ValueError(
+                "network: expected an output layer with a bias, which holds initial_std, got "
+                f"{last_layer(network)}; give it one, or use another algorithm"
+            )
         with torch.no_grad():
-            last_layer(network).bias[action_size:] += math.log(settings.initial_std)
+            bias[action_size:] += math.log(settings.initial_std)
         self.policy = self._stochastic(self.acting_network(network), list(self.inputs))
         target = settings.target_entropy
         common: dict[str, Any] = {

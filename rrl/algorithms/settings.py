@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from rrl.algorithms.networks import NetworkFactory, mlp
 from rrl.algorithms.optimizers import Adam, OptimizerFactory
@@ -17,7 +17,7 @@ class AgentSettings(BaseModel):
 
     Attributes:
         encoder: Makes the module from inputs to features; one that learns nothing is run once a
-            batch, one that learns is taught by the critics (:func:`.readings.readings`).
+            batch, one that learns is taught by the critics (:class:`.readings.Readings`).
         network: Makes the networks of actor and critics.
         optimizer: Makes the optimizers.
         last_layer_bound: The actor's output layer is drawn from ``U(-bound, bound)``; 0 makes an
@@ -30,8 +30,8 @@ class AgentSettings(BaseModel):
         critic_burn_in: Updates at the start in which the critics learn and the policy waits; a
             trainer takes them all before its first round of updates.
         loss_function: The critics' loss.
-        reward_scale: Factor on the stored reward before the critics see it; None: derived from the
-            first transitions, so that rewards of any size are learned from alike.
+        reward_scale: Factor on the stored reward before the critics see it, not 0; None: derived
+            from the first transitions, so that rewards of any size are learned from alike.
         residual_penalty: Weight of the action's square in the policy's loss, at first. With a
             derived ``reward_scale`` values lie a few units apart; a residual must then gain that
             much to be worth its size.
@@ -60,3 +60,10 @@ class AgentSettings(BaseModel):
     residual_penalty: float = Field(0.0, ge=0)
     penalty_updates: int | None = Field(1000, gt=0)
     compiled: bool = False
+
+    @field_validator("reward_scale")
+    @classmethod
+    def _is_not_zero(cls, value: float | None) -> float | None:
+        if value == 0:
+            raise ValueError("reward_scale: expected a factor other than 0, got 0")
+        return value

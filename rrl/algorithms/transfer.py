@@ -1,7 +1,8 @@
-"""From what one agent has learned to the initial weights of another."""
+"""From what one agent has learned to another agent."""
 
 from __future__ import annotations
 
+import copy
 from typing import TYPE_CHECKING
 
 import torch
@@ -10,7 +11,7 @@ from torch import Tensor
 if TYPE_CHECKING:
     from rrl.algorithms.base import Agent
 
-__all__ = ["take_over"]
+__all__ = ["take_over", "twin"]
 
 
 @torch.no_grad()
@@ -35,6 +36,25 @@ def take_over(agent: Agent, other: Agent) -> None:
             ours.load_state_dict(theirs.state_dict())
         agent.rewards.copy(other.rewards)
         agent.is_calibrated = True
+
+
+def twin(agent: Agent) -> Agent:
+    """Return an agent of the same arguments and state, on the same device, with tensors of its own.
+
+    To copy one part after the other would not do: TorchRL's losses copy their parameters apart from
+    the policy and the optimizers, which have to hold the same ones.
+    """
+    lengths = {"gamma": agent.gamma, "penalty_updates": agent.penalty_updates}
+    with torch.random.fork_rng(devices=[]):
+        other = type(agent)(
+            agent.inputs,
+            agent.action_size,
+            critic_inputs=agent.critic_inputs,
+            symmetry=agent.symmetry,
+            **{**dict(agent.settings), **lengths},
+        )
+    other.to(agent.residual_weight.device).load_state_dict(copy.deepcopy(agent.state_dict()))
+    return other
 
 
 def _learned(agent: Agent) -> dict[str, Tensor]:

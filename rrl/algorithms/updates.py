@@ -13,7 +13,10 @@ from torch import Tensor, nn
 
 from rrl.algorithms.compilation import CompiledUpdate, compiler_problem
 
-__all__ = ["Step", "Updates"]
+__all__ = ["UPDATES_PER_GRAPH", "Step", "Updates"]
+
+UPDATES_PER_GRAPH = 4
+"""At most: every further one saves less time in a call and takes as long to compile."""
 
 Step = Callable[[TensorDictBase], dict[str, Tensor]]
 """One gradient step of a batch ``[B]``, to scalar metrics."""
