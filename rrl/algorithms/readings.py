@@ -20,13 +20,11 @@ __all__ = ["Reading", "Readings", "with_shapes"]
 def with_shapes(inputs: Mapping[NestedKey, Input | int] | None) -> dict[NestedKey, Input]:
     """Return inputs; a number stands for a vector of that size."""
     return {
-        key: entry if isinstance(entry, Input) else Input(shape=(_size(key, entry),))
+        key: entry
+        if isinstance(entry, Input)
+        else Input(shape=(check_whole(f"inputs.{key}", entry, 1),))
         for key, entry in (inputs or {}).items()
     }
-
-
-def _size(key: NestedKey, entry: int) -> int:
-    return check_whole(f"inputs.{key}", entry, 1)
 
 
 class Reading:
@@ -155,13 +153,11 @@ class Readings:
             KeyError: If an entry is missing.
             ValueError: If the transitions are not ``[k, B]``.
         """
-        check(
-            "batches",
-            list(batches.shape),
-            "transitions [k, B]; unsqueeze one batch",
-            batches.ndim == 2,
-        )
-        following = batches.get("next")
+        if batches.ndim != 2:
+            raise ValueError(
+                f"batches: expected transitions [k, B], got {list(batches.shape)}; use unsqueeze(0)"
+            )
+        following = batches["next"]
         entries = [key for reading in self._all for key in reading.keys]
         out, out_next = batches.exclude("next", *entries), following.exclude(*entries)
         for reading in self._all:
