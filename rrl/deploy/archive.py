@@ -29,6 +29,7 @@ def module_graph(
     def run(values: Arrays) -> Arrays:
         with torch.no_grad():
             results = module(*(torch.from_numpy(values[name]) for name in inputs))
-        return {name: value.numpy() for name, value in zip(outputs, results, strict=True)}
+        # Copies: results may share the graph's memory, and a robot may write into its command.
+        return {name: value.numpy().copy() for name, value in zip(outputs, results, strict=True)}
 
     return run

@@ -123,9 +123,15 @@ def _array(entry: Entry, value: ArrayLike) -> NDArray[Any]:
         raise ValueError(f"{entry.name}: expected the shape {entry.shape}, got {array.shape}")
     if not np.can_cast(array.dtype, entry.dtype, "same_kind"):
         raise ValueError(f"{entry.name}: expected {entry.dtype}, got {array.dtype}")
-    if not entry.guarded and not np.isfinite(array).all():
+    with np.errstate(over="ignore"):  # to infinity, which is found below
+        cast = np.asarray(array, dtype=entry.dtype, order="C")
+    if np.issubdtype(cast.dtype, np.integer) and (cast != array).any():
+        raise ValueError(
+            f"{entry.name}: expected numbers that {entry.dtype} holds, got {array.tolist()}"
+        )
+    if not entry.guarded and not np.isfinite(cast).all():
         raise ValueError(f"{entry.name}: expected finite numbers, got {array.tolist()}")
-    return np.ascontiguousarray(array, dtype=entry.dtype)
+    return cast
 
 
 def _check_rate(expected: float | None, rate: float | None) -> None:

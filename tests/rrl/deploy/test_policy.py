@@ -96,6 +96,16 @@ def test_torch_runs_the_same_graph(folder, policy):
     np.testing.assert_allclose(acts(policy), acts(other), rtol=0, atol=1e-6)
 
 
+@pytest.mark.parametrize("graph", [lambda folder: None, torch_graph])
+def test_what_an_act_returns_belongs_to_the_caller(folder, graph):
+    expected, policy = acts(Policy(folder, RATE)), Policy(folder, RATE, graph=graph(folder))
+    for wanted in expected:
+        command = policy.act(OBSERVATION)
+        np.testing.assert_allclose(command, wanted, rtol=0, atol=1e-6)
+        for array in (command, *policy.reports.values()):
+            array.fill(0)
+
+
 def test_lists_other_numbers_and_further_entries_are_taken(policy):
     plain = {"camera": "off", **{name: value.tolist() for name, value in OBSERVATION.items()}}
     expected = acts(policy, 1)
@@ -158,6 +168,27 @@ def test_entries_that_are_not_the_contracts_are_refused(policy, observation, mes
     np.testing.assert_array_equal(policy.act(OBSERVATION), expected)  # as if nothing had been
 
 
+def test_integers_that_the_entry_cannot_hold_are_refused(folder, tmp_path):
+    path = Path(shutil.copytree(folder, tmp_path / "copy")) / CONTRACT
+    content = json.loads(path.read_text())["content"]
+    content["entries"][1]["dtype"] = "uint8"
+    path.write_text(json.dumps({"sha256": digest(content), "content": content}))
+    shown = []
+    nothing = {f"report/{e['name']}": np.zeros(1) for e in content["reports"]}
+    nothing |= {f"next/{e['name']}": np.zeros(1) for e in content["state"]}
+    policy = Policy(
+        path.parent,
+        RATE,
+        graph=lambda inputs: shown.append(inputs) or {"command": np.zeros(2), **nothing},
+    )
+    with pytest.raises(
+        ValueError, match=r"goal: expected numbers that uint8 holds, got \[300, 2\]"
+    ):
+        policy.act({**OBSERVATION, "goal": np.array([300, 2], np.uint16)})
+    policy.act({**OBSERVATION, "goal": np.array([255, 2], np.uint16)})
+    assert [inputs["entry/goal"].tolist() for inputs in shown] == [[255, 2]]
+
+
 @pytest.mark.parametrize("name", [MODEL, ARCHIVE, CONTRACT])
 def test_a_changed_file_is_refused(folder, tmp_path, name):
     copy = Path(shutil.copytree(folder, tmp_path / "copy"))
@@ -207,7 +238,7 @@ def test_the_chain_deals_with_nan_as_it_was_configured(policy):
     assert np.isfinite(policy.act(OBSERVATION)).all()
 
 
-@pytest.mark.parametrize("broken", [np.nan, np.inf])
+@pytest.mark.parametrize("broken", [np.nan, np.inf, 1e39])  # the last: in single precision
 def test_without_a_guard_nan_is_refused(unguarded, broken):
     policy = Policy(unguarded, RATE)
     expected = acts(policy, 2)[1]
