@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
+import numpy as np
 from torch import Tensor
 from torchrl.data import TensorSpec
 
@@ -31,9 +32,13 @@ def bounds(action: TensorSpec) -> dict[str, Any]:
 
 
 def named(make: Any) -> dict[str, Any]:
-    """Describe what a factory makes: its class or function, and the arguments given."""
+    """Describe what a factory makes: its class or function, and the arguments given.
+
+    Those without a name stand in their order under ``arguments``.
+    """
     if isinstance(make, partial):
-        return {**named(make.func), **{key: plain(value) for key, value in make.keywords.items()}}
+        unnamed = {"arguments": plain(make.args)} if make.args else {}
+        return {**named(make.func), **unnamed, **plain(make.keywords)}
     name = getattr(make, "__qualname__", type(make).__qualname__)
     return {"class": f"{getattr(make, '__module__', type(make).__module__)}.{name}"}
 
@@ -48,13 +53,18 @@ def left_out(environment: EnvironmentFactory) -> dict[str, list[dict[str, Any]]]
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON has it: what is not finite as null, objects by their names."""
+    """Return a value as JSON has it: what is not finite as null, objects by their names.
+
+    A factory with arguments is described as :func:`named` does.
+    """
     if isinstance(value, Mapping):
         return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(entry) for entry in value]
-    if isinstance(value, Tensor):
+    if isinstance(value, (Tensor, np.ndarray, np.generic)):
         return plain(value.tolist())
+    if isinstance(value, partial):
+        return named(value)
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if value is None or isinstance(value, (bool, int, str)):

@@ -36,7 +36,7 @@ TOOLS = ("onnx", "onnxscript", "onnxruntime")
 def export_policy(
     environment: EnvironmentFactory,
     policy: TensorDictModuleBase,
-    folder: Path,
+    folder: Path | str,
     about: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Write everything between a robot's raw entries and its command into one folder.
@@ -46,7 +46,7 @@ def export_policy(
     A controller that cannot be recorded stays outside, and ``base_action`` is an entry.
 
     Args:
-        environment: The scenario.
+        environment: The scenario; one of a robot is made too, for its specs: the robot must run.
         policy: From the inputs to the residual.
         folder: Where to write; an earlier export is replaced.
         about: What else the contract says, such as where the policy was trained.
@@ -59,13 +59,13 @@ def export_policy(
         FileExistsError: If ``folder`` holds something else.
         ValueError: If the chain cannot be recorded, or a file does not give its commands.
     """
-    tools = require_tools()
+    tools, folder = require_tools(), Path(folder)
     if folder.exists() and not (folder / CONTRACT).is_file():
         raise FileExistsError(f"{folder}: expected no folder or an earlier export, got another one")
+    env = environment.make(1)
     stage = folder.with_name(f".{folder.name}.partial")
     shutil.rmtree(stage, ignore_errors=True)
     stage.mkdir(parents=True)
-    env = environment.make(1)
     try:
         content = _write(env.base_env, environment, policy, stage)
     except Exception:

@@ -17,10 +17,12 @@ from benchmarks.deploy.episodes import trainers_episode
 from rrl.algorithms import TD3, mlp
 from rrl.controllers import Controller, ProportionalController, StatefulController
 from rrl.deploy import Policy, read_contract
+from rrl.robot import RobotFault
 from rrl.trainers.environment import EnvironmentFactory
 from rrl.trainers.evaluation.rollout import zero_residual
+from rrl.trainers.export.described import named
 from rrl.trainers.export.folder import export_policy
-from rrl.transforms import ControlNoise, FiniteAction
+from rrl.transforms import ControlNoise, FiniteAction, StepLimit
 from rrl.transforms.base import RandomTransform, SlotTransform
 from toy_envs import PointMass
 
@@ -214,10 +216,44 @@ def test_a_chain_that_cannot_be_recorded_is_refused(sensing, message, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def silent(num_envs):
+    raise RobotFault("no answer")
+
+
+def test_a_robot_that_is_off_leaves_no_folder(tmp_path):
+    with pytest.raises(RobotFault, match="no answer"):
+        export_policy(point(base=silent), policy_for(point()), tmp_path / "export")
+    assert not list(tmp_path.iterdir())
+
+
+def mixed(parts, scale):
+    """A function that takes other factories."""
+
+
+@pytest.mark.parametrize(
+    ("make", "more"),
+    [
+        (partial(StepLimit, 0.1), {"arguments": [0.1]}),
+        (partial(StepLimit, change=0.1), {"change": 0.1}),
+        (
+            partial(mixed, [partial(StepLimit, 0.1), StepLimit], scale=np.array([0.5, 1.0])),
+            {
+                "arguments": [
+                    [{**named(StepLimit), "arguments": [0.1]}, named(StepLimit)["class"]]
+                ],
+                "scale": [0.5, 1.0],
+            },
+        ),
+    ],
+)
+def test_a_contract_has_every_number_of_a_part(make, more):
+    assert named(make) == {"class": f"{make.func.__module__}.{make.func.__qualname__}", **more}
+
+
 def test_an_earlier_export_is_replaced_and_nothing_else(tmp_path):
     folder = tmp_path / "export"
     export_policy(point(), policy_for(point()), folder, {"trained": {"seed": 1}})
-    content = export_policy(point(), policy_for(point()), folder, {"trained": {"seed": 2}})
+    content = export_policy(point(), policy_for(point()), str(folder), {"trained": {"seed": 2}})
     assert read_contract(folder).content == content
     assert content["trained"] == {"seed": 2}
     assert list(tmp_path.iterdir()) == [folder]
