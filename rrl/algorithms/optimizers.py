@@ -140,5 +140,6 @@ class TorchOptimizer(nn.Module):
         return self._optimizer.state_dict()
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Restore the optimizer's state."""
-        self._optimizer.load_state_dict(state)
+        """Restore the optimizer's state; its learning rate and arguments stay as they are."""
+        groups = self._optimizer.state_dict()["param_groups"]
+        self._optimizer.load_state_dict({**state, "param_groups": groups})

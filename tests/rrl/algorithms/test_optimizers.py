@@ -1,0 +1,30 @@
+"""What an optimizer keeps when a run goes on, and what it is told anew."""
+
+import copy
+from functools import partial
+
+import pytest
+import torch
+
+from agents import learn, make_agent, parameters
+from rrl.algorithms import Adam, TorchOptimizer
+
+OPTIMIZERS = {"ours": Adam, "torch's": partial(TorchOptimizer, name="AdamW", weight_decay=0.0)}
+
+
+@pytest.mark.parametrize("optimizer", OPTIMIZERS.values(), ids=OPTIMIZERS)
+def test_a_learner_that_goes_on_has_its_moments_and_the_new_learning_rate(optimizer):
+    def make(lr):
+        return make_agent(optimizer=optimizer, critic_lr=lr, actor_lr=lr)
+
+    before, same, slow = make(1e-3), make(1e-3), make(1e-9)
+    learn(before, 2)
+    for agent in (same, slow):
+        agent.load_state_dict(copy.deepcopy(before.state_dict()))
+        learn(agent, 2, seed=1)
+    saved = {name: value.clone() for name, value in parameters(before).items()}
+    learn(before, 2, seed=1)
+    for name, value in parameters(before).items():
+        assert torch.equal(parameters(same)[name], value), name
+        if "target" not in name and name.startswith("loss."):
+            torch.testing.assert_close(parameters(slow)[name], saved[name], rtol=0, atol=1e-6)
