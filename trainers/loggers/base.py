@@ -69,26 +69,26 @@ class Guarded:
         self._running, self._broken = False, False
 
     def __getattr__(self, method: str) -> Callable[..., None]:
-        return partial(self._try, getattr(self.logger, method))
+        return partial(self._try, method)
 
     def start(self, run_dir: Path, config: Mapping[str, Any], env_steps: int) -> None:
         """Open the sink."""
         self._running, self._broken = True, False
-        self._try(self.logger.start, run_dir, config, env_steps)
+        self._try("start", run_dir, config, env_steps)
 
     def finish(self) -> None:
         """Close a sink that was opened; one that is broken may fail silently."""
         if self._broken:
             with contextlib.suppress(Exception):
                 self.logger.finish()
-        self._try(self.logger.finish)
+        self._try("finish")
         self._running = False
 
-    def _try(self, method: Callable[..., None], *arguments: Any) -> None:
+    def _try(self, method: str, *arguments: Any) -> None:
         if not self._running or self._broken:
             return
         try:
-            method(*arguments)
+            getattr(self.logger, method)(*arguments)
         except Exception as error:  # whatever a sink or its network can come up with
             self._broken = True
             name, kind = type(self.logger).__name__, type(error).__name__

@@ -5,6 +5,7 @@ import logging
 import pytest
 
 from rrl.trainers.loggers import CSVLogger, MetricsLogger, WandbLogger, read_metrics
+from runs import run
 
 
 class Broken(MetricsLogger):
@@ -47,6 +48,21 @@ def test_a_broken_logger_is_said_once_and_left_alone(make_trainer, caplog, metho
     assert broken.calls.count(method) == 1
     steps = {step for step, _ in read_metrics(trainer.run_dir)["train/reward"]}
     assert steps == {20, 40, 60}
+
+
+class Bare:
+    """A logger of somebody who has not looked at ``MetricsLogger``."""
+
+    def start(self, run_dir, config, env_steps):
+        pass
+
+    def log(self, values, env_steps):
+        pass
+
+
+def test_so_is_one_that_lacks_a_method(make_trainer, caplog):
+    run(make_trainer(loggers=[Bare()], total_steps=60, warmup_steps=40))
+    assert "Bare failed (AttributeError: 'Bare' object has no attribute 'flush')" in caplog.text
 
 
 def test_wandb_goes_offline_when_its_server_cannot_be_reached(make_trainer, monkeypatch, caplog):
