@@ -1,21 +1,58 @@
-"""What a trainer asks of an environment's entries, checked before anything is collected."""
+"""What a trainer asks of an environment and its entries, checked before anything is collected."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
+from torch import nn
 from torchrl.data import Composite, TensorSpec
 from torchrl.data.tensor_specs import NonTensor
+from torchrl.envs import EnvBase
 
 from rrl.keys import ACTION, DIVERGED, METRICS, REWARD_TERMS, SAFETY, SUCCESS
 
-__all__ = ["check_action", "check_number", "check_reported"]
+__all__ = ["check_action", "check_factory", "check_number", "check_reported", "make_native"]
 
 FLOATING = (torch.float16, torch.float32, torch.float64)
 INTEGERS = (torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64)
 NUMBERS = (torch.bool, *INTEGERS, *FLOATING)
+
+
+def check_factory(fields: Mapping[str, Any]) -> None:
+    """Refuse fields of an environment's factory that look right and are something else.
+
+    Raises:
+        TypeError: If one of them is a part instead of what makes it, or inputs are a single name.
+    """
+    for name, given in fields.items():
+        for part in given if isinstance(given, (list, tuple)) else [given]:
+            if isinstance(part, nn.Module):
+                raise TypeError(
+                    f"{name}: expected what makes one, such as a class or functools.partial, "
+                    f"got a {type(part).__name__}: every environment has parts of its own"
+                )
+    for name in ("inputs", "critic_inputs"):
+        if isinstance(given := fields[name], str):
+            raise TypeError(f"{name}: expected names in a list, got {given!r}; write [{given!r}]")
+
+
+def make_native(base: Callable[..., EnvBase], num_envs: int) -> EnvBase:
+    """Make an environment with a batch size of its own.
+
+    Raises:
+        TypeError: If ``base`` does not take the number of slots.
+    """
+    try:
+        return base(num_envs=num_envs)
+    except TypeError as error:
+        if "unexpected keyword argument 'num_envs'" not in str(error):
+            raise
+        raise TypeError(
+            f'base: expected what takes num_envs, because batching is "native", got {base!r}; '
+            'batching="serial" makes each slot by a call without it'
+        ) from error
 
 
 def check_action(spec: Composite) -> None:

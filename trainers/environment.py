@@ -26,7 +26,7 @@ from rrl.transforms import (
 )
 
 from .conversions import convert
-from .entry_checks import check_action, check_reported
+from .entry_checks import check_action, check_factory, check_reported, make_native
 from .input_entries import as_inputs, read_inputs
 from .metric import Metric
 from .requests import Requests
@@ -179,6 +179,9 @@ class EnvironmentFactory:
     intervention: Callable[[], Intervention] | None = None
     units: Mapping[str, str] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        check_factory(vars(self))
+
     def with_overrides(self, **overrides: Any) -> EnvironmentFactory:
         """Return the same chain on a base environment with other arguments (another scenario)."""
         return replace(self, base=partial(self.base, **overrides))
@@ -278,7 +281,7 @@ class EnvironmentFactory:
 
     def _make_base(self, num_envs: int, errors: WorkerErrors | None) -> EnvBase:
         if self.batching == "native":
-            return self.base(num_envs=num_envs)
+            return make_native(self.base, num_envs)
         if num_envs == 1:
             return self.base()
         if errors is None:

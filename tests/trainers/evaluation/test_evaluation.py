@@ -196,3 +196,24 @@ def test_a_scale_of_the_wrong_length_is_named(factory):
     )
     with pytest.raises(ValueError, match=r"inputs\.goal\.scale: expected 1 or 2 numbers, got 3"):
         wrong.make(1)
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "message"),
+    [
+        ({"base": PointMass([])}, TypeError, "base: expected what makes one, .* got a PointMass"),
+        ({"controller": ZERO}, TypeError, "controller: expected what makes one, .* got a Tensor"),
+        ({"sensing": [ControlNoise()]}, TypeError, "sensing: expected what makes one, .* Control"),
+        ({"inputs": "goal"}, TypeError, r"inputs: expected names in a list, got 'goal'"),
+        ({"critic_inputs": "goal"}, TypeError, r"critic_inputs: expected names .*, got 'goal'"),
+        ({"base": partial(PointMass, [])}, TypeError, 'takes num_envs, .* batching="serial"'),
+    ],
+)
+def test_what_is_no_factory_of_the_right_kind_is_named(factory, changes, error, message):
+    with pytest.raises(error, match=message):
+        replace(factory, **changes).make(1)
+
+
+def test_what_a_base_raises_itself_is_left_alone(factory):
+    with pytest.raises(TypeError, match="unexpected keyword argument 'speed'"):
+        factory.with_overrides(speed=1).make(1)
