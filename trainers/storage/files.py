@@ -30,6 +30,27 @@ def write_atomically(path: Path, text: str) -> None:
     sync(path.parent)
 
 
+def number_of(path: Path) -> int:
+    """Return the number at the end of a numbered file's name."""
+    return int(path.stem.rpartition("_")[2])
+
+
+def write_tail(folder: Path, count: int, data: bytes) -> Path:
+    """Write what a log held from number ``count`` on beside it, and return where.
+
+    Raises:
+        OSError: If it cannot be written; the log is then as it was.
+    """
+    taken = len(list(folder.glob(f"tail_{count:012d}_*.bin")))
+    out = folder / f"tail_{count:012d}_{taken:03d}.bin"
+    partial = out.with_suffix(".partial")
+    partial.write_bytes(data)
+    sync(partial)
+    partial.replace(out)
+    sync(folder)
+    return out
+
+
 def sync(path: Path) -> None:
     """Have the disk itself hold a file's content, or a directory's list of names.
 

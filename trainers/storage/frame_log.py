@@ -31,7 +31,7 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict
 
-from .files import sync, write_atomically
+from .files import number_of, sync, write_atomically, write_tail
 from .transition_log import TransitionLog
 
 __all__ = ["FrameLog", "Frames"]
@@ -156,30 +156,27 @@ class FrameLog:
         """Set the frames from ``count`` on aside in a tail file."""
         if count >= self.count:
             return
+        self.sync()  # while all files are there
         first, at = divmod(count, self._per_file)
         start = int(self._index.read(count, count + 1)[0]["start"]) if at else 0
-        paths = [path for path in self._files() if _number(path) >= first]
+        paths = [path for path in self._files() if number_of(path) >= first]
         tail = b"".join(p.read_bytes()[start if p == self._path(first) else 0 :] for p in paths)
-        taken = len(list(self.folder.glob(f"tail_{count:012d}_*.bin")))
-        out = self.folder / f"tail_{count:012d}_{taken:03d}.bin"
-        out.write_bytes(tail)
-        sync(out)
+        write_tail(self.folder, count, tail)
         self._index.cut(count)
         for path in reversed(paths):  # from the end: never a hole
             if path == self._path(first) and start:
                 os.truncate(path, start)
             else:
                 path.unlink()
-                self._unsynced.discard(path)
         sync(self.folder)
         self._last = None
 
     def forget(self, first: int) -> None:
         """Remove the files that lie wholly before frame ``first``."""
+        self.sync()
         for path in self._files():
-            if (_number(path) + 1) * self._per_file <= first:
+            if (number_of(path) + 1) * self._per_file <= first:
                 path.unlink()
-                self._unsynced.discard(path)
         self._index.forget(first)
 
     def close(self) -> None:
@@ -257,7 +254,3 @@ def _compress(frame: Frames, before: Frames | None) -> tuple[int, bytes]:
         return DIFFERENCE, difference
     whole = zlib.compress(frame.tobytes(), LEVEL)
     return (WHOLE, whole) if len(whole) < len(difference) else (DIFFERENCE, difference)
-
-
-def _number(path: Path) -> int:
-    return int(path.stem.rpartition("_")[2])

@@ -32,7 +32,7 @@ import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 
-from .files import sync, write_atomically
+from .files import number_of, sync, write_atomically, write_tail
 from .records import CHECKSUM, Records, columns, pack, raw, record_dtype
 
 FOLDER = "transitions"
@@ -117,14 +117,15 @@ class TransitionLog:
             The tail file; None if there was nothing to set aside.
         """
         self.close()
-        paths = [p for p in self._segments() if (_number(p) + 1) * self._per_segment > count]
+        self.sync()  # while all of them are there
+        paths = [p for p in self._segments() if (number_of(p) + 1) * self._per_segment > count]
         offsets = [
-            max(0, count - _number(p) * self._per_segment) * self._record.itemsize for p in paths
+            max(0, count - number_of(p) * self._per_segment) * self._record.itemsize for p in paths
         ]
         tail = b"".join(p.read_bytes()[offset:] for p, offset in zip(paths, offsets, strict=True))
         if not tail:
             return None
-        out = self._write_tail(tail, count)
+        out = write_tail(self.folder, count, tail)
         for path, offset in reversed(
             list(zip(paths, offsets, strict=True))
         ):  # from the end: never a hole
@@ -138,8 +139,9 @@ class TransitionLog:
 
     def forget(self, first: int) -> None:
         """Remove the segments that lie wholly before record ``first``."""
+        self.sync()
         for path in self._segments() if first > 0 else ():
-            if (_number(path) + 1) * self._per_segment <= first:
+            if (number_of(path) + 1) * self._per_segment <= first:
                 path.unlink()
 
     def close(self) -> None:
@@ -182,7 +184,7 @@ class TransitionLog:
         segments = self._segments()
         if segments:
             whole = segments[-1].stat().st_size // self._record.itemsize
-            self.count = _number(segments[-1]) * self._per_segment + whole
+            self.count = number_of(segments[-1]) * self._per_segment + whole
 
     def _segments(self) -> list[Path]:
         return sorted(self.folder.glob("segment_*.bin"))
@@ -256,17 +258,3 @@ class TransitionLog:
                 damaged.append(first + i)
             before = checksum
         return damaged
-
-    def _write_tail(self, data: bytes, count: int) -> Path:
-        taken = len(list(self.folder.glob(f"tail_{count:012d}_*.bin")))
-        out = self.folder / f"tail_{count:012d}_{taken:03d}.bin"
-        partial = out.with_suffix(".partial")
-        partial.write_bytes(data)
-        sync(partial)
-        partial.replace(out)
-        sync(self.folder)
-        return out
-
-
-def _number(segment: Path) -> int:
-    return int(segment.stem.rpartition("_")[2])

@@ -51,6 +51,15 @@ def test_what_was_appended_is_read_back_across_segments_and_after_reopening(tmp_
     assert_reads(reopened, 0, 33)
 
 
+@pytest.mark.parametrize("count", [0, 4, 10])
+@pytest.mark.parametrize("how", ["cut", "forget"])
+def test_what_is_gone_need_not_be_synced(tmp_path, how, count):
+    log = filled(tmp_path)
+    getattr(log, how)(count)
+    log.sync()
+    assert_reads(TransitionLog(tmp_path), *((0, count) if how == "cut" else (count, 25)))
+
+
 def test_the_format_is_plain(tmp_path):
     filled(tmp_path)
     schema = json.loads((tmp_path / "schema.json").read_text())
