@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from tensordict import NestedKey, TensorDict, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase, unravel_key
 from torchrl.data import LazyTensorStorage, RandomSampler, TensorDictReplayBuffer
 
 from rrl.interventions import InterventionSampler, relabel_interventions
@@ -44,8 +44,7 @@ def stored_keys(inputs: Iterable[NestedKey]) -> list[NestedKey]:
         inputs: What is kept of a state.
     """
     following = [*inputs, "reward", "done", "terminated"]
-    nested = [("next", *([key] if isinstance(key, str) else key)) for key in following]
-    return [*inputs, ACTION, *nested]
+    return [*inputs, ACTION, *(unravel_key(("next", key)) for key in following)]
 
 
 def as_stored(data: TensorDictBase, inputs: Iterable[NestedKey]) -> TensorDictBase:

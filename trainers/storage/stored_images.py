@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from tensordict import NestedKey, TensorDictBase
+from tensordict import NestedKey, TensorDictBase, unravel_key
 from torch import Tensor
 
 from rrl.inputs import channels_of
@@ -242,7 +242,7 @@ def _image(frames: Tensor, n: int, shape: tuple[int, ...]) -> Tensor:
 
 
 def _next(key: NestedKey) -> NestedKey:
-    return ("next", *([key] if isinstance(key, str) else key))
+    return unravel_key(("next", key))
 
 
 def _first(key: NestedKey) -> str:
