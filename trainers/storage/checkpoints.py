@@ -44,7 +44,7 @@ log = logging.getLogger(__name__)
 
 Note = dict[str, Any]
 """What is sealed with a checkpoint: ``env_steps``, ``transitions`` (a position), ``config``,
-``lengths`` (those that the run has derived)."""
+``interface`` (what the learner reads and says), ``lengths`` (those that the run has derived)."""
 
 PREFIX, TORN = "checkpoint-", ".torn"
 

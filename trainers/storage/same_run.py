@@ -53,6 +53,11 @@ SEEDS = ("trainer.seed", "trainer.num_seeds")
 ABSENT = "(absent)"
 
 
+def as_json(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a configuration as checkpoints keep it; what JSON does not know becomes text."""
+    return dict(json.loads(json.dumps(config, default=str)))
+
+
 def require_same_run(saved: Mapping[str, Any], current: Mapping[str, Any]) -> None:
     """Refuse to resume a run with a configuration that is not its own.
 

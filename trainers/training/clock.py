@@ -1,4 +1,4 @@
-"""Training time, robot time and reset time of a run, apart."""
+"""How far a run is, and its training time, robot time and reset time apart."""
 
 from __future__ import annotations
 
@@ -6,9 +6,21 @@ from collections.abc import Callable, Mapping
 
 from ..loggers import metrics
 
-__all__ = ["Clock"]
+__all__ = ["Clock", "Counters"]
 
 PARTS = ("training", "robot", "reset")
+
+
+class Counters(dict[str, int]):
+    """Numbers by name, as a part of a run's checkpoints."""
+
+    def state_dict(self) -> dict[str, int]:
+        """Return the numbers."""
+        return dict(self)
+
+    def load_state_dict(self, state: Mapping[str, int]) -> None:
+        """Restore :meth:`state_dict`."""
+        self.update(state)
 
 
 class Clock:

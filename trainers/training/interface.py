@@ -59,6 +59,15 @@ class Interface:
             arguments["critic_inputs"] = self.critic_inputs
         return arguments
 
+    def described(self) -> dict[str, Any]:
+        """Return what a resumed run must find as it was, in the order in which it is read."""
+        groups = {"inputs": self.inputs, "critic_inputs": self.critic_inputs or {}}
+        named = {
+            group: [f"{name} {list(entry.shape)}" for name, entry in entries.items()]
+            for group, entries in groups.items()
+        }
+        return {"action_size": self.action_size, **named}
+
 
 def interface_of(environment: EnvironmentFactory, env: EnvBase) -> Interface:
     """Return what a learner must know of an environment that the factory has made."""

@@ -23,13 +23,12 @@ from ..settings import TrainerSettings
 from ..storage.checkpoints import Checkpoints, newest_whole, saved_note
 from ..storage.finite import require_finite
 from ..storage.replay_store import ReplayStore
-from ..storage.same_run import require_same_run
+from ..storage.same_run import as_json, require_same_run
 from .acceptance import Acceptance
-from .clock import Clock
+from .clock import Clock, Counters
 from .collecting import make_collection
 from .collection import Metrics
 from .constraints import Constraints
-from .counters import Counters
 from .interface import Exploration
 from .interruption import Interruption
 from .keys import listening
@@ -81,7 +80,7 @@ class Trainer:
         lengths = saved_note(self.run_dir).get("lengths")
         self.settings = settings = given.derived(environment.max_episode_steps, lengths)
         self.loggers = [Guarded(g) for g in ([CSVLogger()] if loggers is None else loggers)]
-        self.config = dict(config or {"trainer": given.model_dump()})
+        self.config = as_json(config or {"trainer": given.model_dump()})
         self.interruption = Interruption()
         self.progress = progress or Progress.silent()
         self.stopwatch, self.profile = Stopwatch(), Profile()
@@ -106,14 +105,13 @@ class Trainer:
         self.replay = self.store.replay
         self.constraints = Constraints(environment.metrics, settings.constraints, settings.n_step)
         self.person = Person(self.collection.tell, self.interruption)
-        self.evaluator = Evaluator(
-            scenarios or {"training": environment}, settings.evaluation, self.collection.requests
-        )
+        scenarios = {"training": environment} if scenarios is None else scenarios
+        self.evaluator = Evaluator(scenarios, settings.evaluation, self.collection.requests)
         self.acceptance = Acceptance(settings, self.agent, self.evaluator)
         self.learning = Learning(
             self.agent, self.store, self.constraints, settings, self.run_dir, self.stopwatch
         )
-        self.counters: dict[str, int] = {"env_steps": 0, "restarts": 0}
+        self.counters = Counters(env_steps=0, restarts=0)
         self.clock, self._resumed = Clock(self.evaluator.lap), False
         components = {
             "agent": self.agent,
@@ -122,7 +120,7 @@ class Trainer:
             "handed_over": self.acceptance,
             "constraints": self.constraints,
             "generator": self.learning.generator,
-            "progress": Counters(self.counters),
+            "progress": self.counters,
             "clock": self.clock,
         }
         self.checkpoints = Checkpoints(self.run_dir, settings.checkpoint.keep, components)
@@ -154,7 +152,8 @@ class Trainer:
         path, note, torn = newest_whole(
             self.run_dir, lambda note: self.store.check(note["transitions"])
         )
-        require_same_run(note["config"], self.config)
+        reads = self.collection.interface.described()
+        require_same_run(note["config"] | note.get("interface", reads), self.config | reads)
         self.checkpoints.load(path, torn)
         if self.collection.can_continue:
             self.store.set_pending_aside()
@@ -265,8 +264,8 @@ class Trainer:
         require_finite(dict(self.agent.named_parameters()), "not saved: the agent has")
         for logger in self.loggers:
             logger.flush()
-        note = {"transitions": self.store.mark(), "config": self.config}
-        note["lengths"] = self.settings.lengths
+        note = {"config": self.config, "interface": self.collection.interface.described()}
+        note |= {"transitions": self.store.mark(), "lengths": self.settings.lengths}
         self.checkpoints.save(self.env_steps, note)
         self.store.forget(self.checkpoints.oldest_transition() - self.store.capacity)
 

@@ -1,12 +1,17 @@
 """Only the same run is resumed, and what may change in it."""
 
 import json
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
 
 import pytest
 
+from rrl.algorithms import TD3, mlp
+from rrl.trainers import Input, Trainer
 from rrl.trainers.settings import CheckpointSettings
 from rrl.trainers.storage.same_run import differences, require_same_run
-from runs import assert_same
+from runs import assert_same, run
 
 
 def test_a_changed_run_is_refused_with_the_difference(stopped, make):
@@ -30,6 +35,44 @@ def test_more_steps_other_loggers_other_cadence_are_the_same_run(stopped, make):
     whole.run()
     whole.close()
     assert_same(dict(whole.agent.state_dict()), dict(trainer.agent.state_dict()))
+
+
+POSITION, GOAL = "end_effector_position", "goal"
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        (
+            {"inputs": [GOAL, POSITION]},
+            r'inputs: \["end_effector_position \[2\]", "goal \[2\]"\] -> \["goal \[2\]", "end',
+        ),
+        ({"inputs": {GOAL: Input()}}, r'inputs: .* -> \["goal \[2\]"\]'),
+        ({"critic_inputs": [GOAL]}, r'critic_inputs: \[\] -> \["goal \[2\]"\]'),
+    ],
+)
+def test_other_inputs_are_refused(stopped, make, simulated, changes, line):
+    trainer = make(environment=replace(simulated, **changes))
+    with trainer, pytest.raises(ValueError, match=f"not the configuration .*\n  {line}"):
+        trainer.resume()
+
+
+def test_a_configuration_may_hold_anything_and_is_compared(settings, factory, tmp_path):
+    def make(**config):
+        short, agent = settings(total_steps=40, warmup_steps=20), partial(TD3, network=mlp)
+        return Trainer(short, factory, agent, run_dir=tmp_path / "run", config=config)
+
+    run(make(data=Path("here"), limits=(1, 2)))
+    with make(data=Path("here"), limits=[1, 2]) as trainer:
+        trainer.resume()
+    trainer = make(data=Path("there"), limits=[1, 2])
+    with trainer, pytest.raises(ValueError, match='data: "here" -> "there"'):
+        trainer.resume()
+
+
+def test_no_scenario_is_not_the_training_environment(settings, factory, tmp_path):
+    with pytest.raises(ValueError, match="scenarios: expected at least one, got none"):
+        Trainer(settings(), factory, run_dir=tmp_path / "run", scenarios={})
 
 
 BASE = {
