@@ -32,7 +32,7 @@ from rrl.trainers.cli.compose import compose
 from rrl.trainers.configuration import build as assembly
 from rrl.trainers.environment import EnvironmentFactory
 from rrl.trainers.export.folder import export_policy
-from rrl.trainers.export.robot import Robot, chain_on
+from rrl.trainers.export.specs_only import SpecsOnly, chain_on
 from rrl.trainers.pretrained import best_run, trained_run
 from rrl.trainers.seeds import Stream, first_seed
 
@@ -141,7 +141,7 @@ def trainers_step(
 ) -> Callable[[int], object]:
     """Return a step of the trainer's chain, on an environment that takes no time itself."""
     env = environment.make(1)
-    robot = Robot(env.base_env)
+    robot = SpecsOnly(env.base_env)
     env.close()
     keys, observations = robot.entry_keys(), []
     for entries in shown:

@@ -18,7 +18,7 @@ from rrl.transforms import FiniteAction
 from rrl.transforms.base import SlotTransform
 
 from ..environment import EnvironmentFactory
-from .robot import Robot, chain_on
+from .specs_only import SpecsOnly, chain_on
 
 __all__ = ["RESIDUAL", "Chain", "Values"]
 
@@ -71,7 +71,7 @@ class Chain:
         policy: TensorDictModuleBase,
         with_controller: bool = True,
     ) -> None:
-        robot = Robot(like, resets_itself=True)
+        robot = SpecsOnly(like, resets_itself=True)
         outside: dict[str, Any] = {} if with_controller else {"controller": _Elsewhere}
         self._env = chain_on(robot, environment, **outside)
         self._policy, self._batch = policy, robot.batch_size

@@ -23,7 +23,7 @@ from rrl.keys import ACTION, BASE_ACTION
 from rrl.transforms.base.action_bounds import limits_of
 
 from ..environment import EnvironmentFactory
-from .robot import Robot, chain_on
+from .specs_only import SpecsOnly, chain_on
 from .traced import Traced
 
 __all__ = ["Rehearsal"]
@@ -59,7 +59,7 @@ class Rehearsal:
         traced: Traced,
         seed: int = 0,
     ) -> None:
-        self._robot = Robot(like)
+        self._robot = SpecsOnly(like)
         self._env, self._policy, self._traced = chain_on(self._robot, environment), policy, traced
         self._keys, self._inputs = self._robot.entry_keys(), environment.read_inputs(self._env)
         self._generator = torch.Generator().manual_seed(seed)

@@ -15,10 +15,10 @@ from rrl.transforms.base import RandomTransform
 
 from ..environment import EnvironmentFactory, ResumableEnv
 
-__all__ = ["Robot", "chain_on"]
+__all__ = ["SpecsOnly", "chain_on"]
 
 
-class Robot(EnvBase):
+class SpecsOnly(EnvBase):
     """The specs of an environment without what is behind them.
 
     It shows the entries that it is told to show, and keeps what it was commanded.
@@ -66,7 +66,7 @@ class Robot(EnvBase):
         """Draw nothing."""
 
 
-def chain_on(robot: Robot, environment: EnvironmentFactory, **changes: Any) -> ResumableEnv:
+def chain_on(robot: SpecsOnly, environment: EnvironmentFactory, **changes: Any) -> ResumableEnv:
     """Build the factory's transforms on ``robot``, without what simulates a fault.
 
     Disturbances leave no more than the entries that they write. Of sensing, what draws no random
