@@ -26,7 +26,7 @@ from rrl.trainers.cli.new import create
 from rrl.trainers.configuration import build as assembly
 from rrl.trainers.environment import EnvironmentFactory, Input
 from rrl.trainers.export.folder import export_policy
-from rrl.trainers.training.learner import build
+from rrl.trainers.training.factories import build
 from rrl.transforms import StepLimit
 from toy_envs import PointMass
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ from ..environment import EnvironmentFactory, Input
 from ..loggers import MetricsLogger
 from ..metric import Metric
 from ..settings import TrainerSettings
-from ..training.learner import build
+from ..training.factories import agent_factory, build
 from ..training.progress import Progress
 from ..training.trainer import Trainer
 from . import checks
@@ -68,11 +67,7 @@ def environment(config: Config) -> EnvironmentFactory:
 
 def agent(config: Config) -> Any:
     """Return a factory of learners, which know the task's symmetry if the algorithm uses it."""
-    episode_steps = config["env"]["max_episode_steps"]
-    make = partial(build(config["algorithm"]["agent"]), episode_steps=episode_steps)
-    symmetric = config["algorithm"].get("use_symmetries")
-    symmetry = environment(config).symmetry() if symmetric else None
-    return make if symmetry is None else partial(make, symmetry=symmetry)
+    return agent_factory(config["algorithm"], environment(config))
 
 
 def exploration(config: Config) -> Any:

@@ -10,7 +10,7 @@ import torch
 from pydantic import ValidationError
 from torchrl.data import Bounded
 
-from ..training.learner import build, locate
+from ..training.factories import build, locate
 from .schema import Target, explain
 
 __all__ = ["Config", "Problems", "check_targets", "entries"]

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import torch
 import yaml
+from torch import Tensor
 
 from rrl.algorithms import Agent
 
@@ -18,9 +21,41 @@ from ..storage.replay_store import ReplayStore
 from ..storage.run_files import DERIVED
 from .collection import Metrics
 from .constraints import Constraints
-from .learner import LearnerGenerator
 
-__all__ = ["Learning"]
+__all__ = ["LearnerGenerator", "Learning"]
+
+
+class LearnerGenerator:
+    """Lets updates draw from numbers of their own, apart from what collecting draws.
+
+    TorchRL's losses and samplers draw from torch's global generator. What is learned from stored
+    transitions must not depend on whether they are collected anew or read from the log.
+
+    Args:
+        seed: Of the numbers.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self._state = torch.Generator().manual_seed(seed).get_state()
+
+    @contextmanager
+    def drawing(self) -> Iterator[None]:
+        """Draw from these numbers while the body runs."""
+        before = torch.get_rng_state()
+        torch.set_rng_state(self._state)
+        try:
+            yield
+        finally:
+            self._state = torch.get_rng_state()
+            torch.set_rng_state(before)
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Return the generator's state."""
+        return {"state": self._state}
+
+    def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
+        """Restore :meth:`state_dict`."""
+        self._state = state["state"]
 
 
 class Learning:

@@ -29,10 +29,10 @@ from .clock import Clock, Counters
 from .collecting import make_collection
 from .collection import Metrics
 from .constraints import Constraints
+from .factories import default_agent, default_exploration
 from .interface import Exploration
 from .interruption import Interruption
 from .keys import listening
-from .learner import default_agent, default_exploration
 from .learning import Learning
 from .person import Person
 from .profiling import Profile, measured

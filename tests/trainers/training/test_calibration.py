@@ -9,7 +9,7 @@ from rrl.algorithms import TD3, mlp
 from rrl.trainers.defaults import default_config
 from rrl.trainers.environment import EnvironmentFactory
 from rrl.trainers.settings import CheckpointSettings
-from rrl.trainers.training.learner import default_agent
+from rrl.trainers.training.factories import default_agent
 from runs import assert_same_run, run, run_until
 from toy_envs import EPISODE_STEPS
 
