@@ -125,17 +125,18 @@ class ReplayStore:
         most = IMAGE_BATCHES if self.images else max(k, 1)
         return [min(most, k - first) for first in range(0, k, most)]
 
-    def require_room(self, transition_bytes: int) -> None:
+    def require_room(self, in_memory: int, on_disk: int) -> None:
         """Refuse a run whose transitions do not fit; the buffer takes its memory with the first.
 
         Args:
-            transition_bytes: What a transition takes.
+            in_memory: Bytes of a transition there.
+            on_disk: Bytes of a transition there.
 
         Raises:
             ValueError: If ``capacity`` of them are more than memory or disk can take.
         """
         require_room(
-            self.run_dir, self.capacity, transition_bytes, self.device, on_disk=self.log.count
+            self.run_dir, self.capacity, in_memory, on_disk, self.device, written=self.log.count
         )
 
     def sample(self, k: int) -> TensorDictBase:

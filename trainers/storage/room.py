@@ -15,25 +15,28 @@ CGROUP = Path("/sys/fs/cgroup/memory.max")
 """Where a container's own limit stands."""
 
 
-def require_room(run_dir: Path, transitions: int, size: int, device: str, on_disk: int = 0) -> None:
+def require_room(
+    run_dir: Path, transitions: int, in_memory: int, on_disk: int, device: str, written: int = 0
+) -> None:
     """Refuse a run whose transitions do not fit.
 
     Args:
         run_dir: Where they are written; the folder exists.
         transitions: How many are kept.
-        size: Bytes of one.
+        in_memory: Bytes of one there.
+        on_disk: Bytes of one there, with what else is written of it.
         device: Where the replay buffer lies.
-        on_disk: How many of them are on the disk already.
+        written: How many of them are on the disk already.
 
     Raises:
         ValueError: If they need more than the device's memory, or than what is free on the disk.
     """
     free = shutil.disk_usage(run_dir).free
     places = (
-        (transitions, memory_bytes(device), f"the memory of {device}"),
-        (max(0, transitions - on_disk), free, f"what is free on the disk of {run_dir}"),
+        (transitions, in_memory, memory_bytes(device), f"the memory of {device}"),
+        (max(0, transitions - written), on_disk, free, f"what is free on the disk of {run_dir}"),
     )
-    for count, room, place in places:
+    for count, size, room, place in places:
         if count * size > room:
             raise ValueError(
                 f"trainer.buffer_capacity: expected transitions that fit into {place}, "

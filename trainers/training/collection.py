@@ -78,6 +78,9 @@ class Collection(ABC):
         """Leave the environment to somebody else while the body runs, such as an evaluation."""
         return nullcontext()
 
+    def forget(self, first: int) -> None:  # noqa: B027
+        """Remove what is on disk of steps before ``first`` beside the stored transitions."""
+
     @abstractmethod
     def state_dict(self) -> dict[str, Any]:
         """Return everything that a checkpoint after this round needs."""

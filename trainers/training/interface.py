@@ -21,6 +21,7 @@ from ..seeds import Stream, first_seed
 from ..settings import TrainerSettings
 from ..storage.replay_store import as_stored
 from .constraints import budgets
+from .realtime.records import record_bytes
 
 __all__ = ["Exploration", "Interface", "interface_of", "prepare"]
 
@@ -38,14 +39,14 @@ class Interface:
         action_size: Numbers of an action.
         critic_inputs: Of the critics; None: the same.
         costs: Entries that constraints are about.
-        transition_bytes: What a stored transition takes.
+        room: Bytes of a transition in memory, and on disk with the acting process's record of it.
     """
 
     inputs: dict[str, Input]
     action_size: int
     critic_inputs: dict[str, Input] | None = None
     costs: tuple[NestedKey, ...] = ()
-    transition_bytes: int = 0
+    room: tuple[int, int] = (0, 0)
 
     @property
     def kept(self) -> list[NestedKey]:
@@ -92,7 +93,8 @@ def prepare(
     interface = replace(interface_of(environment, env), costs=costs)
     env.append_transform(FiniteObservation(interface.kept))
     size = _transition_bytes(env, interface) // settings.num_envs
-    return env, replace(interface, transition_bytes=size), explore
+    acted = record_bytes(env) if settings.collection == "realtime" else 0
+    return env, replace(interface, room=(size, size + acted)), explore
 
 
 def _transition_bytes(env: EnvBase, interface: Interface) -> int:

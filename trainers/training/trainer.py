@@ -81,9 +81,8 @@ class Trainer:
         self.settings = settings = given.derived(environment.max_episode_steps, lengths)
         self.loggers = [Guarded(g) for g in ([CSVLogger()] if loggers is None else loggers)]
         self.config = as_json(config or {"trainer": given.model_dump()})
-        self.interruption = Interruption()
+        self.interruption, self.stopwatch, self.profile = Interruption(), Stopwatch(), Profile()
         self.progress = progress or Progress.silent()
-        self.stopwatch, self.profile = Stopwatch(), Profile()
         settings.check_operator(environment.intervention is not None)
         configure_torch(settings)
         self.run_dir.mkdir(parents=True, exist_ok=True)
@@ -101,7 +100,7 @@ class Trainer:
             settings.device,
             settings.intervention_share,
         )
-        self.store.require_room(self.collection.interface.transition_bytes)
+        self.store.require_room(*self.collection.interface.room)
         self.replay = self.store.replay
         self.constraints = Constraints(environment.metrics, settings.constraints, settings.n_step)
         self.person = Person(self.collection.tell, self.interruption)
@@ -267,7 +266,9 @@ class Trainer:
         note = {"config": self.config, "interface": self.collection.interface.described()}
         note |= {"transitions": self.store.mark(), "lengths": self.settings.lengths}
         self.checkpoints.save(self.env_steps, note)
-        self.store.forget(self.checkpoints.oldest_transition() - self.store.capacity)
+        first = self.checkpoints.oldest_transition() - self.store.capacity
+        self.store.forget(first)
+        self.collection.forget(first)
 
     def _stop_if_asked(self) -> None:
         if self.interruption.signal is not None and not self.collection.is_ahead:

@@ -3,12 +3,14 @@
 import errno
 import fcntl
 import os
+import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 
 from rrl.trainers.storage.files import lock, sync
+from rrl.trainers.storage.room import memory_bytes, require_room
 from rrl.trainers.training.realtime.hand_over import HandOver
 from situation_commands import start
 
@@ -48,6 +50,15 @@ def test_transitions_that_the_disk_cannot_take_are_refused_at_once(make_trainer,
     ):
         make_trainer(small_disk / "run", total_steps=1_000_000)
     make_trainer(small_disk / "run", total_steps=1_000_000, buffer_capacity=10_000).close()
+
+
+def test_what_is_written_beside_them_counts_on_the_disk_alone(tmp_path):
+    free, memory = shutil.disk_usage(tmp_path).free, memory_bytes("cpu")
+    require_room(tmp_path, 1000, 1, free // 2000, "cpu")
+    with pytest.raises(ValueError, match=r"what is free on the disk .*, got 1000 of "):
+        require_room(tmp_path, 1000, 1, free // 500, "cpu")
+    with pytest.raises(ValueError, match="the memory of cpu"):
+        require_room(tmp_path, 1000, memory, 1, "cpu")
 
 
 def test_a_file_system_that_cannot_sync_a_folder_is_no_hindrance():

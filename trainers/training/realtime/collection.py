@@ -138,6 +138,10 @@ class RealTime(Collection):
         with self._hand_over.having_robot(), prioritized(priority):
             yield
 
+    def forget(self, first: int) -> None:
+        """Remove the acting process's records before ``first``, file by file."""
+        self._log.forget(first)
+
     def state_dict(self) -> dict[str, Any]:
         """Return the running returns; all else is in the process and its log."""
         return {"returns": self._returns.running}

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
+from torchrl.envs import EnvBase
 
 from ...loggers import metrics
 from ...storage.neighbors import named, put_neighbors
@@ -22,6 +23,7 @@ __all__ = [
     "cut_episodes",
     "make_record",
     "read_usable",
+    "record_bytes",
     "seconds_of",
     "timing_metrics",
 ]
@@ -64,6 +66,12 @@ def make_record(td: TensorDictBase, timing: Timing) -> TensorDict:
         kind = np.asarray(value).dtype
         record[TIMING, name] = torch.from_numpy(np.full((1, 1), value, kind))
     return record
+
+
+def record_bytes(env: EnvBase) -> int:
+    """Return what a record takes; images are in it as they are, before the step and after it."""
+    record = make_record(env.fake_tensordict(), Timing(first=True, reset_seconds=0.0))
+    return sum(value.numel() * value.element_size() for value in record.values(True, True))
 
 
 def read_usable(

@@ -7,16 +7,16 @@ import time
 
 import pytest
 import torch
+from torchrl.data import Unbounded
 
 from realtime_runs import PERIOD, Paced, acted, learn, learn_and_be_killed
-from rrl.trainers.settings import (
-    EvaluationSettings,
-)
+from rrl.trainers.settings import CheckpointSettings, EvaluationSettings
 from rrl.trainers.training.realtime.hand_over import HandOver
 from runs import run
 from toy_envs import EPISODE_STEPS, PointMass
 
 SAID = 0.25  # what Hesitant says
+ONE = CheckpointSettings(every=20, keep=1)
 
 
 class Broken(Paced):
@@ -27,6 +27,17 @@ class Broken(Paced):
         if self.calls == 30:
             raise ValueError("the gripper is open")
         return super()._step(tensordict)
+
+
+class Wide(Paced):
+    """Shows more than anybody reads: twenty records fill a file."""
+
+    def __init__(self, num_envs=1):
+        super().__init__(num_envs)
+        self.observation_spec["scan"] = Unbounded((num_envs, 100_000))
+
+    def _observe(self):
+        return super()._observe() | {"scan": torch.zeros(*self.batch_size, 100_000)}
 
 
 class Hesitant(torch.nn.Module):
@@ -65,6 +76,16 @@ def test_a_run_takes_every_transition_once_and_measures_its_timing(make):
     assert (times.diff()[~first[1:]]).mean() >= 0.9 * PERIOD
     assert "realtime/period_error_ms_p99" in (trainer.run_dir / "metrics.csv").read_text()
     assert not HandOver(trainer.run_dir / "realtime").is_alive()
+
+
+def test_what_was_acted_is_counted_on_the_disk_and_forgotten_with_the_buffers(make):
+    few = {"batch_size": 20, "buffer_capacity": 20, "checkpoint": ONE}
+    trainer = run(make(base=Wide, total_steps=80, **few))
+    (left,) = trainer.run_dir.glob("realtime/transitions/*.bin")
+    assert left.name == "segment_000003.bin"
+    in_memory, on_disk = trainer.collection.interface.room
+    assert on_disk - in_memory == pytest.approx(left.stat().st_size / 20, rel=1e-3)
+    assert in_memory < 100
 
 
 def test_killed_learners_lose_nothing_and_the_environment_goes_on(make, tmp_path):
