@@ -82,6 +82,7 @@ class Blinking(Paced):
 
 def kill_the_process(trainer):
     os.kill(acting_pid(trainer.run_dir), signal.SIGKILL)
+    wait_for(lambda: not HandOver(trainer.run_dir / "realtime").is_alive())
 
 
 def test_a_process_that_follows_another_explores_as_that_one_would(make):
