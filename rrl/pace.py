@@ -37,7 +37,6 @@ class Pace:
     Attributes:
         began: When the current period began, by ``time.monotonic()`` [s].
         error: How much longer than ``period`` the last one took [s]; negative if it was shorter.
-        skipped: Deadlines given up since :meth:`start`.
         meanwhile: Called by every :meth:`wait` before it sleeps: work for which there is time then.
 
     Raises:
@@ -55,7 +54,7 @@ class Pace:
         """Begin the first period now."""
         self.began = self._deadline = time.monotonic()
         self._deadline += self.period
-        self.error, self.skipped = 0.0, 0
+        self.error = 0.0
 
     @property
     def scheduled(self) -> float:
@@ -66,9 +65,7 @@ class Pace:
         """Wait for the end of the current period, and begin the next."""
         self.meanwhile()
         if (late := time.monotonic() - self._deadline) >= self.period:
-            given_up = int(late / self.period)
-            self._deadline += given_up * self.period
-            self.skipped += given_up
+            self._deadline += int(late / self.period) * self.period
         if (remaining := self._deadline - time.monotonic()) > 0:
             time.sleep(remaining)
         now = time.monotonic()
