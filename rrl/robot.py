@@ -15,7 +15,8 @@ __all__ = ["Description", "EntrySpec", "Observation", "Robot", "RobotFault"]
 class RobotFault(Exception):
     """The robot does not do what it should: it is silent, frozen, or refuses.
 
-    Whoever drives it stops it, and tries to go on with a reset.
+    Whoever drives it stops it. Evaluations and collection in real time then try to go on with a
+    reset; a run that collects in turn ends.
     """
 
 

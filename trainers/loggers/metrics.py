@@ -74,7 +74,7 @@ TIME = "time"
 """Seconds since the last row: ``time/collect`` (waiting, where it overlaps), ``store``, ``sample``,
 ``update``, ``evaluate``, ``checkpoint``, ``log``; ``sample`` and ``compile`` are parts of
 ``update``. With ``trainer.profile`` also the parts of a collection, ``time/collect/<part>``, or of
-``time/beside`` where a second process collects."""
+``time/background`` where a second process collects."""
 
 CLOCK = "clock"
 """Seconds since the run began: ``clock/training`` of updates, ``clock/robot`` of the environment's

@@ -14,6 +14,8 @@ Layout, below the run's directory::
                 agent/               parameters, targets, optimizers, update counter
                 collection/          physics, transforms, exploration, what the policy sees next;
                                      where collection overlaps, the parameters to act with
+                constraints/         multipliers
+                clock/               seconds so far
                 handed_over/         the agent when its policy was accepted; what tests have used up
                 generator/           what sampling and updates draw from
                 progress/            counters
