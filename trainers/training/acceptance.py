@@ -66,6 +66,11 @@ class Acceptance:
         """Return how many episodes testing may cost from ``env_steps`` on, at most."""
         return 2 * self.settings.episodes * self.tests_ahead(env_steps)
 
+    @property
+    def plays_again(self) -> bool:
+        """Whether the next evaluation plays what is handed over once more, after a resume."""
+        return self.handed_over.env_steps > 0 and self._followed is None
+
     def announce(self, env_steps: int) -> None:
         """Say what testing may cost from ``env_steps`` on."""
         if (evaluations := self.tests_ahead(env_steps)) > 0:
@@ -76,6 +81,19 @@ class Acceptance:
                 evaluations,
                 self.settings.episodes,
             )
+
+    def follow(self, env_steps: int) -> tuple[Comparison, dict[str, Any]]:
+        """Play the followed episodes with the learner's policy; see :meth:`consider`."""
+        latest = self.evaluator.compare(
+            self.agent.policy,
+            self.evaluator.followed,
+            Stream.FOLLOWING,
+            self._run.evaluation.episodes,
+        )
+        comparison, tested = self.consider(latest, env_steps)
+        values = comparison.summary()
+        followed = metrics.evaluation(metrics.EVALUATION, self.evaluator.followed, values)
+        return comparison, followed | tested
 
     def consider(self, comparison: Comparison, env_steps: int) -> tuple[Comparison, dict[str, Any]]:
         """Test the learner's policy if it is a candidate, and take it if it passes.
@@ -126,7 +144,7 @@ class Acceptance:
         """The followed episodes of what is handed over; played again after a resume."""
         if self.handed_over.env_steps == 0:
             return comparison.controller
-        if self._followed is None:
+        if self.plays_again:
             self._followed = self.evaluator.play(
                 self.handed_over.policy,
                 self.evaluator.followed,

@@ -38,8 +38,10 @@ def episodes_ahead(
     evaluations += env_steps == 0 and settings.evaluation.every > 0
     # The controller plays each set once; a few episodes of each scenario are played twice, to see
     # whether they are frozen; at the end there may be an accepted policy beside the latest one.
+    # A resumed run plays what it hands over once more.
     players = 3 if acceptance.settings.enabled else 2
-    followed = (evaluations + 1) * shown.episodes if evaluations else 0
+    sets = evaluations + 1 + acceptance.plays_again
+    followed = sets * shown.episodes if evaluations else 0
     return {
         "in training": -(-(settings.total_steps - env_steps) // steps),
         "in evaluations": followed,

@@ -20,6 +20,7 @@ from rrl.trainers.metric import Metric
 from rrl.trainers.report.notes import notes
 from rrl.trainers.report.tables import one_run, success_rows
 from rrl.trainers.seeds import Stream, first_seed
+from rrl.trainers.training.schedule import episodes_ahead
 from runs import assert_same
 from toy_envs import DRIFT, STEP_SIZE, PointMass
 
@@ -81,6 +82,23 @@ def test_until_a_policy_passes_the_run_hands_over_the_controller(make):
         assert found.accepted is found.residual
         assert found.summary()["accepted_env_steps"] == 100
         torch.testing.assert_close(action(trainer.policy, trainer), torch.tensor([AGAINST, 0.0]))
+
+
+def test_what_was_handed_over_is_played_once_more_after_a_resume(make):
+    with make() as trainer:
+        trainer.acceptance.handed_over.take(50)
+        trainer.acceptance.load_state_dict(trainer.acceptance.state_dict())
+        played = []
+        play = trainer.evaluator._play
+
+        def counted(policy, scenario, seed, episodes):
+            played.append(episodes)
+            return play(policy, scenario, seed, episodes)
+
+        trainer.evaluator._play = counted
+        ahead = episodes_ahead(trainer.settings, trainer.evaluator, trainer.acceptance, 100)
+        consider(trainer, 200)
+    assert sum(played) == ahead["in evaluations"] == 3 * EPISODES.episodes
 
 
 def test_what_the_learner_becomes_afterwards_changes_nothing(make, tmp_path):
