@@ -48,12 +48,13 @@ class ResumableEnv(TransformedEnv):
     next_input: TensorDictBase
     worker_errors: WorkerErrors | None = None
     requests: Requests | None = None
+    _repeats = True
     is_cut_short: bool = False
     """Whether a pause has stopped the robot in the middle of the last episode."""
 
-    def listen_to(self, requests: Requests) -> None:
-        """Do what a person asks for, from the next step on."""
-        self.__dict__["requests"] = requests
+    def listen_to(self, requests: Requests, *, repeats: bool = True) -> None:
+        """Do what a person asks for; ``repeats`` says whether a start may be repeated."""
+        self.__dict__["requests"], self.__dict__["_repeats"] = requests, repeats
 
     def lap(self) -> dict[str, float]:
         """Return the seconds of steps, ``robot``, and of resets since the last time."""
@@ -76,7 +77,7 @@ class ResumableEnv(TransformedEnv):
     def reset(self, tensordict: TensorDictBase | None = None, **arguments: Any) -> TensorDictBase:
         """Reset the environment, or return what :meth:`begin_with` was given."""
         if self.requests is not None:
-            self.requests.before_reset(self.base_env)
+            self.requests.before_reset(self.base_env, self._repeats)
         self.__dict__["is_cut_short"] = False
         with self._timed("reset"), self._explaining():
             self.next_input = super().reset(tensordict, **arguments)

@@ -11,12 +11,13 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from torchrl.envs import EnvBase, ParallelEnv
+from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, TransformedEnv
 
 from rrl.keys import SUCCESS
+from rrl.robot import RobotFault
 from rrl.slot_masks import truncate
 
-__all__ = ["Request", "Requests", "stop_of"]
+__all__ = ["Request", "Requests", "has_content", "stand_still", "stop_of"]
 
 POLL = 0.02
 """Seconds between two looks whether a pause is over."""
@@ -41,13 +42,18 @@ class Requests:
     ends the episode; asked for in one episode, it does not reach the next. To repeat a start the
     environment has to save its state, as :class:`torch.nn.Module` does. A pause lets a simulation
     wait; a robot, which cannot, is stopped, and its episode is cut short.
+
+    Attributes:
+        check: Raises if the run was asked to end; called by whatever waits for a robot or tries it
+            again.
     """
 
     def __init__(self) -> None:
         self.paused = False
+        self.check: Callable[[], None] = _nothing
         self._judged: bool | None = None
         self._repeats = False
-        self._start: dict[str, Any] | None = None  # the environment before its last reset
+        self._start: dict[str, Any] | None = None  # the repeating environment before its last reset
 
     def take(self, request: Request) -> None:
         """Note a request."""
@@ -59,7 +65,7 @@ class Requests:
             self._judged = request is Request.SUCCEEDED
 
     def before_step(self, env: EnvBase) -> bool:
-        """Let a bare environment stand still if there is a pause.
+        """Let an environment stand still if there is a pause.
 
         Returns:
             Whether it is a robot: it is stopped then, and waits before its next reset.
@@ -98,20 +104,25 @@ class Requests:
         """End the episode of ``next_td``, which is truncated; its ``success`` stays."""
         truncate(next_td, torch.ones(*next_td.batch_size, 1, dtype=torch.bool))
 
-    def before_reset(self, env: EnvBase) -> None:
+    def before_reset(self, env: EnvBase, repeats: bool) -> None:
         """Wait while there is a pause, with a robot that stands still.
 
-        The bare environment is then put back to where its last episode began, if that was asked
-        for.
+        Args:
+            env: A bare environment.
+            repeats: Whether it is put back to where its last episode began, if that was asked for.
+                Of those that share the requests one may.
         """
         if self.paused:
             if (stop := stop_of(env)) is not None:
                 stop()
             self._wait()
-        self._judged, repeats, self._repeats = None, self._repeats, False
-        if env.batch_size.numel() > 1:
-            return
-        if not repeats:
+        self._judged = None
+        if repeats and env.batch_size.numel() <= 1:
+            self._repeat_start(env)
+
+    def _repeat_start(self, env: EnvBase) -> None:
+        asked, self._repeats = self._repeats, False
+        if not asked:
             self._start = _saved(env)
         elif self._start is None:
             log.warning("this environment does not save its state: its next start is another one")
@@ -124,11 +135,26 @@ class Requests:
 
 
 def stop_of(env: EnvBase) -> Callable[[], object] | None:
-    """Return what has a bare environment's robot stand still; None for a simulation.
+    """Return what has an environment's robot stand still, its method ``stop``; None if it has none.
 
     Copies in processes of their own are simulations: a robot is driven by one process.
     """
-    return None if isinstance(env, ParallelEnv) else getattr(env, "stop", None)
+    bare = env
+    while isinstance(bare, TransformedEnv):
+        bare = bare.base_env
+    if isinstance(bare, ParallelEnv) or (isinstance(bare, SerialEnv) and bare.is_closed):
+        return None  # copies that were not made yet have no attributes
+    stop = getattr(env, "stop", None)
+    return stop if callable(stop) else None
+
+
+def stand_still(env: EnvBase) -> None:
+    """Have an environment's robot stand still, if it is one and answers."""
+    if (stop := stop_of(env)) is not None:
+        try:
+            stop()
+        except RobotFault as fault:  # it stops by itself: nobody commands it any more
+            log.debug("stop: %s", fault)
 
 
 def _saved(env: EnvBase) -> dict[str, Any] | None:
@@ -138,10 +164,15 @@ def _saved(env: EnvBase) -> dict[str, Any] | None:
     except Exception as error:  # asked for by nobody so far: no reason to warn
         log.debug("no start to repeat: %s", error)
         return None
-    return copy.deepcopy(state) if _has_content(state) else None
+    return copy.deepcopy(state) if has_content(state) else None
 
 
-def _has_content(state: Any) -> bool:
+def has_content(state: Any) -> bool:
+    """Return whether there is anything in a state but empty mappings and None."""
     if isinstance(state, Mapping):
-        return any(map(_has_content, state.values()))
+        return any(map(has_content, state.values()))
     return state is not None
+
+
+def _nothing() -> None:
+    """Nobody can ask."""

@@ -143,5 +143,5 @@ class Evaluator:
             slots = -(-episodes // batches)
         if (scenario, slots) not in self._envs:
             self._envs[scenario, slots] = factory.make(slots)
-            self._envs[scenario, slots].listen_to(self._requests)
+            self._envs[scenario, slots].listen_to(self._requests, repeats=False)
         return self._envs[scenario, slots]

@@ -72,10 +72,11 @@ def explanation(scenario: str, difference: str, alone: bool) -> str:
 def _trace(env: EnvBase, policy: TensorDictModuleBase, seed: int, max_steps: int) -> Trace:
     with isolated_generators(seed):
         return whole(
+            env,
             lambda: (
                 (_checksums(td, len(running)), running.numpy())
                 for td, running in rollout(env, policy, seed, max_steps, FEW)
-            )
+            ),
         )
 
 

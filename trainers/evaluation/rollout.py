@@ -24,6 +24,7 @@ from rrl.slot_random import seed_env
 
 from ..environment import ResumableEnv
 from ..metric import Metric
+from ..requests import stand_still
 from .episodes import Episodes
 
 __all__ = ["isolated_generators", "rollout", "run_episodes", "whole", "zero_residual"]
@@ -67,7 +68,7 @@ def isolated_generators(seed: int) -> Iterator[None]:
 def rollout(
     env: EnvBase, policy: TensorDictModuleBase, seed: int, max_steps: int, episodes: int = 0
 ) -> Iterator[tuple[TensorDictBase, Tensor]]:
-    """Play one episode in every slot, without exploration.
+    """Play one episode in every slot, without exploration. A robot stands still afterwards.
 
     Use it inside :func:`isolated_generators`.
 
@@ -83,6 +84,15 @@ def rollout(
         ``done``; beside it the slots whose episode had not ended before that step, bool
         ``[slots]``.
     """
+    try:
+        yield from _steps(env, policy, seed, max_steps, episodes)
+    finally:
+        stand_still(env)
+
+
+def _steps(
+    env: EnvBase, policy: TensorDictModuleBase, seed: int, max_steps: int, episodes: int
+) -> Iterator[tuple[TensorDictBase, Tensor]]:
     slots = max(env.batch_size.numel(), 1)
     running = torch.arange(slots) < (episodes or slots)
     with torch.no_grad():
@@ -132,7 +142,7 @@ def run_episodes(
     for first in range(0, num_episodes, slots):
         kept = min(slots, num_episodes - first)
         with isolated_generators(seed + first):
-            _, *steps = whole(partial(rollout, env, policy, seed + first, max_steps, kept))
+            _, *steps = whole(env, partial(rollout, env, policy, seed + first, max_steps, kept))
         running = np.stack([mask[:kept].numpy() for _, mask in steps])  # (T, kept)
         parts.append(_reduced([_entries(td, kept) for td, _ in steps], running, metrics or {}))
     columns = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
@@ -152,14 +162,20 @@ def run_episodes(
     )
 
 
-def whole(play: Callable[[], Iterable[T]]) -> list[T]:
-    """Return what ``play`` gives; it is called again where a fault or a pause cuts it short."""
+def whole(env: EnvBase, play: Callable[[], Iterable[T]]) -> list[T]:
+    """Return what ``play`` gives; it is called again where a fault or a pause cuts it short.
+
+    Raises:
+        Exception: What :attr:`Requests.check` raises if the run is to end: it is not called again.
+    """
     while True:
         try:
             return list(play())
         except (RobotFault, _CutShort) as reason:
             log.warning("an evaluation's episode is played again: %s", reason)
-            time.sleep(RETRY)
+        time.sleep(RETRY)
+        if isinstance(env, ResumableEnv) and env.requests is not None:
+            env.requests.check()
 
 
 def _entries(td: TensorDictBase, kept: int) -> dict[str, np.ndarray]:

@@ -72,7 +72,8 @@ class Guarded:
         return partial(self._try, method)
 
     def start(self, run_dir: Path, config: Mapping[str, Any], env_steps: int) -> None:
-        """Open the sink."""
+        """Open the sink, which an earlier call may have opened."""
+        self.finish()
         self._running, self._broken = True, False
         self._try("start", run_dir, config, env_steps)
 

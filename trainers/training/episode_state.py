@@ -17,6 +17,7 @@ from rrl.keys import ACTION
 from rrl.slot_random import seed_env
 
 from ..environment import ResumableEnv
+from ..requests import has_content
 from ..storage.plain_state import from_entries, to_entries
 
 __all__ = ["EpisodeInProgress", "goes_on_from_its_state"]
@@ -94,7 +95,7 @@ def goes_on_from_its_state(env: EnvBase, root: TensorDictBase) -> tuple[bool, bo
         _say_why(error)
         return False, False
     modules = {name for name, _ in env.named_parameters()} | {n for n, _ in env.named_buffers()}
-    if not _has_content({key: value for key, value in state.items() if key not in modules}):
+    if not has_content({key: value for key, value in state.items() if key not in modules}):
         return False, False
     spec = env.full_action_spec[ACTION]
     action = spec.project(spec.zero())  # zero may be out of bounds
@@ -150,9 +151,3 @@ def _equal(a: Any, b: Any) -> bool:
     if a is None or isinstance(a, (bool, int, float, str, bytes)):
         return bool(a == b)
     return type(a) is type(b)  # cannot be saved, and the first checkpoint will say so
-
-
-def _has_content(state: Any) -> bool:
-    if isinstance(state, Mapping):
-        return any(map(_has_content, state.values()))
-    return state is not None

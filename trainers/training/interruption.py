@@ -60,11 +60,14 @@ class Interruption:
     def listening(self) -> Iterator[Interruption]:
         """Take note of the signals while the body runs; the second one ends the process at once.
 
+        What was asked of an earlier body is forgotten.
+
         SIGHUP stays ignored where it is, as below ``nohup``.
 
         Ending at once loses nothing that a SIGKILL would not lose. Outside of the main thread,
         where Python allows no signal handlers, this does nothing.
         """
+        self.signal = None
         if threading.current_thread() is not threading.main_thread():
             yield self
             return

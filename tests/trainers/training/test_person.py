@@ -10,12 +10,15 @@ import pytest
 import torch
 
 from rrl.trainers.loggers import read_metrics
+from rrl.trainers.seeds import Stream
 from rrl.trainers.settings import AcceptanceSettings, EvaluationSettings
 from rrl.trainers.training.interruption import Interrupted
 from toy_envs import EPISODE_STEPS, PointMass
 
 NO_EVALUATION = EvaluationSettings(every=0, episodes=2, final_episodes=2, slots=2)
 UNTESTED = AcceptanceSettings(enabled=False)
+ALONE = EvaluationSettings(every=0, episodes=3, final_episodes=2, slots=1)
+FOLLOWED = "drift", Stream.FOLLOWING, 3
 
 
 @pytest.fixture
@@ -131,15 +134,36 @@ def starts(trainer, steps):
     return goal[::EPISODE_STEPS]
 
 
-def test_a_start_is_repeated(make):
-    plain = make("plain")
+@pytest.mark.parametrize("evaluated", [False, True])
+def test_a_start_is_repeated(make, evaluated):
+    plain = make("plain", evaluation=ALONE)
     first, second, third, *_ = starts(plain, 80)
+    before = plain.evaluator.controller(*FOLLOWED)
     plain.close()
-    trainer = make("repeated")
-    at_step(trainer, EPISODE_STEPS + 5, trainer.person.repeat_start)
+    trainer = make("repeated", evaluation=ALONE)
+
+    def ask():
+        trainer.person.repeat_start()
+        if evaluated:  # it begins where it is frozen to begin, and changes nothing
+            played = trainer.evaluator.controller(*FOLLOWED)
+            assert played.returns.tolist() == before.returns.tolist()
+
+    at_step(trainer, EPISODE_STEPS + 5, ask)
     found = starts(trainer, 80)
     trainer.close()
     assert torch.equal(found, torch.stack([first, second, second, third]))
+
+
+def test_a_run_that_was_stopped_goes_on_in_the_same_trainer(make):
+    trainer = make()
+    at_step(trainer, 70, trainer.person.stop)
+    with pytest.raises(Interrupted):
+        trainer.run()
+    assert trainer.env_steps == 80
+    trainer.resume()
+    trainer.run()
+    trainer.close()
+    assert trainer.env_steps == 200
 
 
 def test_an_environment_without_a_state_says_that_it_cannot(make_trainer, caplog):
