@@ -159,8 +159,8 @@ class TrainerSettings(_Settings):
         keys: Whether a person may pause, judge and stop by keys, where standard input is a
             terminal.
         collection: ``turn`` with the updates; ``overlap``: a second process collects the next round
-            meanwhile, and round ``k`` acts with the policy of round ``k - 1``'s start;
-            ``realtime``: a process of its own steps the environment at its control period.
+            of a simulation meanwhile, and round ``k`` acts with the policy of round ``k - 1``'s
+            start; ``realtime``: a process of its own steps the environment at its control period.
         realtime: See :class:`RealTimeSettings`.
         profile: Time the parts of a collection too, and print at the end where a step's time went.
         threads: Torch threads. Products of small networks gain little from a second one, and wait

@@ -144,7 +144,7 @@ class Acceptance:
         """The followed episodes of what is handed over; played again after a resume."""
         if self.handed_over.env_steps == 0:
             return comparison.controller
-        if self.plays_again:
+        if self._followed is None:
             self._followed = self.evaluator.play(
                 self.handed_over.policy,
                 self.evaluator.followed,

@@ -27,7 +27,7 @@ from torchrl.checkpoint import GlobalRNGState
 from rrl.algorithms.compilation import import_compiler
 
 from ..environment import EnvironmentFactory
-from ..requests import Request, Requests
+from ..requests import Request, Requests, stop_of
 from ..settings import TrainerSettings
 from ..storage.plain_state import from_plain, to_plain
 from .collection import Collection, InTurn, Metrics
@@ -58,6 +58,7 @@ class InBackground(Collection):
 
     Raises:
         RuntimeError: If the process dies. What the environment raises is raised here.
+        ValueError: If the environment is a robot: evaluations would drive it at the same time.
     """
 
     def __init__(
@@ -74,14 +75,16 @@ class InBackground(Collection):
         self._process.start()
         far_end.close()
         heard.close()
-        atexit.register(
-            self.close
-        )  # before multiprocessing's own, which would wait for the process
+        atexit.register(self.close)  # before multiprocessing's own, which would wait for it
         self._ahead = False
         self._state_before: dict[str, Any] | None = None  # before the round that is collected ahead
         self._can_continue: bool | None = None
-        import_compiler()  # meanwhile the worker starts
-        self.interface = self._receive()
+        try:
+            import_compiler()  # meanwhile the worker starts
+            self.interface = self._receive()
+        except BaseException:
+            self.close()
+            raise
 
     def tell(self, request: Request) -> None:
         """Pass on what a person asks for, also to the process, which may be collecting."""
@@ -192,6 +195,12 @@ class _Worker:
         settings, environment, exploration = cloudpickle.loads(recipe)
         configure_torch(settings, collects_only=True)
         self.collection = InTurn(settings, environment, exploration)
+        if stop_of(self.collection.env) is not None:
+            self.collection.close()
+            raise ValueError(
+                "trainer.collection: expected turn or realtime for a robot (an environment with a "
+                "method stop), got overlap; an evaluation would drive it beside the second process"
+            )
         self.rng = GlobalRNGState()
 
     def set_policy(self, policy: bytes) -> None:

@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
+from typing import Any, TypeVar, cast
 
 from ..environment import EnvironmentFactory
+from ..requests import stop_of
 from ..settings import TrainerSettings
 from .background_collection import InBackground
 from .collection import Collection, InTurn
 from .interface import Exploration
 from .realtime.collection import RealTime
 
-__all__ = ["make_collection"]
+__all__ = ["closed_if_it_fails", "make_collection"]
+
+log = logging.getLogger(__name__)
+
+Init = TypeVar("Init", bound=Callable[..., None])
 
 
 def make_collection(
@@ -23,5 +32,28 @@ def make_collection(
     """Return what collects the run's transitions."""
     if settings.collection == "realtime":
         return RealTime(settings, environment, exploration, run_dir)
-    collect = {"turn": InTurn, "overlap": InBackground}[settings.collection]
-    return collect(settings, environment, exploration)
+    if settings.collection == "overlap":
+        return InBackground(settings, environment, exploration)
+    collection = InTurn(settings, environment, exploration)
+    if stop_of(collection.env) is not None:
+        log.warning(
+            "trainer.collection=turn: during updates the robot gets no command and goes on with "
+            "its last one until it stops by itself; trainer.collection=realtime does not let it "
+            "wait"
+        )
+    return collection
+
+
+def closed_if_it_fails(init: Init) -> Init:
+    """Let an ``__init__`` that fails close the ``collection`` that it has made: nobody else can."""
+
+    @wraps(init)
+    def guarded(self: Any, *args: Any, **kwargs: Any) -> None:
+        try:
+            init(self, *args, **kwargs)
+        except BaseException:
+            if hasattr(self, "collection"):
+                self.collection.close()
+            raise
+
+    return cast(Init, guarded)

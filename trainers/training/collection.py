@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
 import torch
@@ -17,12 +17,12 @@ from rrl.keys import ACTION
 
 from ..environment import EnvironmentFactory
 from ..loggers import metrics
-from ..requests import Request, Requests
+from ..requests import Request, Requests, stand_still, stop_of
 from ..settings import TrainerSettings
 from ..storage.replay_store import as_stored
 from .collection_metrics import Authority, EpisodeReturns, collection_metrics
 from .episode_state import EpisodeInProgress
-from .interface import Exploration, Interface, prepare
+from .interface import Annealing, Exploration, Interface, prepare
 from .profiling import measured, watch_collection
 
 __all__ = ["Collection", "InTurn"]
@@ -81,6 +81,21 @@ class Collection(ABC):
     def forget(self, first: int) -> None:  # noqa: B027
         """Remove what is on disk of steps before ``first`` beside the stored transitions."""
 
+    def stop(self) -> None:  # noqa: B027
+        """Have a robot stand still; what is collected next begins with an episode."""
+
+    @contextmanager
+    def attended(self) -> Iterator[None]:
+        """Stop a robot if the body fails: nobody looks after it any more."""
+        try:
+            yield
+        except BaseException:
+            self.stop()
+            raise
+
+    def stop_at_once(self) -> None:  # noqa: B027
+        """Have what would go on without this process end; nothing is waited for."""
+
     @abstractmethod
     def state_dict(self) -> dict[str, Any]:
         """Return everything that a checkpoint after this round needs."""
@@ -111,7 +126,8 @@ class InTurn(Collection):
         self.requests = Requests()
         self.env.listen_to(self.requests)
         self._returns = EpisodeReturns(settings.num_envs)
-        self._annealed = 0  # environment steps that the exploration module knows of
+        self._annealing = Annealing(self.exploration)
+        self._stands = False  # a robot, since it was told to
 
     def set_policy(self, policy: TensorDictModuleBase) -> None:
         """Act with ``policy`` and exploration noise."""
@@ -137,18 +153,16 @@ class InTurn(Collection):
         explores = env_steps >= (self.settings.controller_steps or 0)
         random, fixed = ExplorationType.RANDOM, ExplorationType.DETERMINISTIC
         self.collector.exploration_type = random if explores else fixed
-        self._anneal(env_steps)  # rounds that were taken from the log
+        self._annealing.reach(env_steps)  # rounds that were taken from the log
+        if self._stands:
+            self.collector.reset()
+            self._returns.reset()
+            self._stands = False
         data = self.collector.rollout()
-        self._anneal(env_steps + self.settings.steps_per_round)
+        self._annealing.reach(env_steps + self.settings.steps_per_round)
         # Exploration modules draw in the process's default type; networks are of float32.
         data.set(ACTION, data[ACTION].float())
         return data.reshape(self.settings.num_envs, -1)
-
-    def _anneal(self, env_steps: int) -> None:
-        anneal = getattr(self.exploration, "step", None)
-        if anneal is not None:
-            anneal(env_steps - self._annealed)
-        self._annealed = env_steps
 
     def collect(self, env_steps: int) -> tuple[TensorDictBase, Metrics]:
         """Collect now."""
@@ -171,6 +185,18 @@ class InTurn(Collection):
         """Begin the next episode."""
         self.episode.start_anew(seed)
         self._returns.reset()
+        self._stands = False
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Leave a robot to somebody else while the body runs; it is one and the same."""
+        self.stop()
+        yield
+
+    def stop(self) -> None:
+        """Have a robot stand still; what is collected next begins with an episode."""
+        self._stands = stop_of(self.env) is not None
+        stand_still(self.env)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state of episode, exploration and running returns."""
@@ -178,7 +204,7 @@ class InTurn(Collection):
         return {
             "episode": self.episode.state_dict(),
             "exploration": dict(exploration),
-            "annealed": self._annealed,
+            "annealed": self._annealing.env_steps,
             "returns": self._returns.running,
         }
 
@@ -187,7 +213,7 @@ class InTurn(Collection):
         self.episode.load_state_dict(state["episode"])
         if self.exploration is not None:
             self.exploration.load_state_dict(state["exploration"])
-        self._annealed = int(state["annealed"])
+        self._annealing.env_steps = int(state["annealed"])
         self._returns.running = state["returns"]
 
     def close(self) -> None:

@@ -23,11 +23,32 @@ from ..storage.replay_store import as_stored
 from .constraints import budgets
 from .realtime.records import record_bytes
 
-__all__ = ["Exploration", "Interface", "interface_of", "prepare"]
+__all__ = ["Annealing", "Exploration", "Interface", "interface_of", "prepare"]
 
 Exploration = Callable[..., TensorDictModuleBase | None]
 """Makes TorchRL's exploration module, or None where the policy explores by itself; called with
 ``spec``."""
+
+
+class Annealing:
+    """Tells an exploration module, where it anneals, how many environment steps there were.
+
+    Args:
+        exploration: The module; None: there is none.
+
+    Attributes:
+        env_steps: What it was told last.
+    """
+
+    def __init__(self, exploration: TensorDictModuleBase | None) -> None:
+        self._anneal = getattr(exploration, "step", None)
+        self.env_steps = 0
+
+    def reach(self, env_steps: int) -> None:
+        """Say that there were so many."""
+        if self._anneal is not None:
+            self._anneal(env_steps - self.env_steps)
+        self.env_steps = env_steps
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from ..requests import Request
+from .collection import Collection
 from .interruption import Interruption
 
 __all__ = ["Person"]
@@ -19,14 +20,16 @@ class Person:
     """What a person may ask of a run, from any thread.
 
     Args:
-        tell: Passes a request to whatever plays.
+        collection: Passes requests to whatever plays.
         interruption: Stops the run.
     """
 
-    def __init__(self, tell: Callable[[Request], None], interruption: Interruption) -> None:
-        self._tell, self._interruption = tell, interruption
+    def __init__(self, collection: Collection, interruption: Interruption) -> None:
+        self._tell, self._interruption = collection.tell, interruption
         self.paused = False
+        collection.requests.check = interruption.check
         interruption.when_asked.append(self._release)
+        interruption.at_once.append(collection.stop_at_once)
 
     def pause(self) -> None:
         """Let the environment stand still before its next step, until :meth:`go_on`."""

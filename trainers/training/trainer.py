@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,12 +27,12 @@ from ..storage.replay_store import ReplayStore
 from ..storage.same_run import as_json, require_same_run
 from .acceptance import Acceptance
 from .clock import Clock, Counters
-from .collecting import make_collection
+from .collecting import closed_if_it_fails, make_collection
 from .collection import Metrics
 from .constraints import Constraints
 from .factories import default_agent, default_exploration
 from .interface import Exploration
-from .interruption import Interruption
+from .interruption import Interrupted, Interruption
 from .keys import listening
 from .learning import Learning
 from .person import Person
@@ -45,7 +46,7 @@ __all__ = ["Trainer"]
 log = logging.getLogger(__name__)
 
 
-class Trainer:
+class Trainer(AbstractContextManager["Trainer"]):
     """Trains one residual policy. In a ``with`` statement it closes itself.
 
     What is left out is what ``rrl train`` uses.
@@ -63,6 +64,7 @@ class Trainer:
         progress: Shows how far the run is.
     """
 
+    @closed_if_it_fails
     def __init__(
         self,
         settings: TrainerSettings | None,
@@ -103,7 +105,7 @@ class Trainer:
         self.store.require_room(*self.collection.interface.room)
         self.replay = self.store.replay
         self.constraints = Constraints(environment.metrics, settings.constraints, settings.n_step)
-        self.person = Person(self.collection.tell, self.interruption)
+        self.person = Person(self.collection, self.interruption)
         scenarios = {"training": environment} if scenarios is None else scenarios
         self.evaluator = Evaluator(scenarios, settings.evaluation, self.collection.requests)
         self.acceptance = Acceptance(settings, self.agent, self.evaluator)
@@ -183,14 +185,16 @@ class Trainer:
             logger.start(self.run_dir, self.config, self.env_steps)
         announce(self.settings, self.evaluator, self.acceptance, self.env_steps)
         progress = self.progress.training(self.settings.total_steps, self.env_steps)
-        with self.interruption.listening(), progress, listening(self.person, self.settings.keys):
+        keys = listening(self.person, self.settings.keys)
+        with self.collection.attended(), self.interruption.listening(), progress, keys:
             if self.env_steps == 0:
                 self._save()
                 if self.settings.evaluation.every:
                     self._evaluate()
             while self.env_steps < self.settings.total_steps:
                 self._stop_if_asked()
-                self._round()
+                with suppress(Interrupted):  # in a round that waited for a robot, in vain
+                    self._round()
             self._save()
             return self._evaluate_all()
 
@@ -217,9 +221,6 @@ class Trainer:
                 close()
             except Exception as error:
                 log.warning("closing failed: %s", error)
-
-    def __enter__(self) -> Trainer:
-        return self
 
     def __exit__(self, *error: object) -> None:
         self.close()
@@ -276,12 +277,10 @@ class Trainer:
             self.interruption.check()
 
     def _evaluate(self) -> None:
-        followed, episodes = self.evaluator.followed, self.settings.evaluation.episodes
         with self.stopwatch("evaluate"), self.collection.paused():
-            latest = self.evaluator.compare(self.agent.policy, followed, Stream.FOLLOWING, episodes)
-            comparison, tested = self.acceptance.consider(latest, self.env_steps)
+            comparison, values = self.acceptance.follow(self.env_steps)
         self.progress.show(comparison, self.env_steps)
-        self._log(metrics.evaluation(metrics.EVALUATION, followed, comparison.summary()) | tested)
+        self._log(values)
 
     def _evaluate_all(self) -> dict[str, Comparison]:
         results, episodes = {}, self.settings.evaluation.final_episodes

@@ -1,5 +1,6 @@
-"""A pause stops a robot, whoever steps it, and ends its episode; what follows begins with a reset."""
+"""A robot that nobody drives stands still: in a pause, after an evaluation, after a failure."""
 
+import multiprocessing
 import threading
 from dataclasses import replace
 
@@ -12,9 +13,10 @@ from rrl.robot import Description, EntrySpec, Observation, Robot
 from rrl.trainers.environment import Input
 from rrl.trainers.evaluation import rollout
 from rrl.trainers.evaluation.evaluator import Evaluator
-from rrl.trainers.requests import Request, Requests
+from rrl.trainers.requests import Request, Requests, stop_of
 from rrl.trainers.seeds import Stream
-from rrl.trainers.settings import AcceptanceSettings, EvaluationSettings
+from rrl.trainers.settings import AcceptanceSettings, CheckpointSettings, EvaluationSettings
+from toy_envs import PointMass
 
 PERIOD, EPISODE_STEPS, PAUSE = 0.005, 10, 0.3
 QUIET = {
@@ -24,7 +26,7 @@ QUIET = {
 
 
 class Carriage(Robot):
-    """Goes on with its last command, and writes down what it is told."""
+    """Goes on with its last command, and writes down what it is told; its place counts commands."""
 
     description = Description(
         entries={"end_effector_position": EntrySpec((2,)), "goal": EntrySpec((2,))}
@@ -36,22 +38,29 @@ class Carriage(Robot):
 
     def __init__(self, at_command=None):
         self.told, self._clock, self._at_command = [], 0.0, at_command or {}
+        self._moves = 0
 
     def observe(self):
         self._clock += PERIOD
-        entries = {"end_effector_position": np.zeros(2), "goal": np.ones(2), "reward": [0.0]}
+        place = np.full(2, self._moves)
+        entries = {"end_effector_position": place, "goal": np.ones(2), "reward": [0.0]}
         return Observation(entries, self._clock)
 
     def command(self, action):
         self.told.append("command")
+        self._moves += 1
         if act := self._at_command.pop(self.told.count("command"), None):
             act()
 
     def reset(self, seed=None):
         self.told.append("reset")
+        self._moves = 0
 
     def stop(self):
         self.told.append("stop")
+
+    def close(self):
+        self.told.append("close")
 
 
 @pytest.fixture
@@ -70,9 +79,8 @@ def driven(factory):
     return make
 
 
-@pytest.mark.parametrize("collection", ["turn", "overlap"])
-def test_the_step_that_finds_a_pause_ends_the_episode(make_trainer, driven, collection):
-    changes = {"total_steps": 80, "warmup_steps": 40, "collection": collection, "n_step": 1}
+def test_the_step_that_finds_a_pause_ends_the_episode(make_trainer, driven):
+    changes = {"total_steps": 80, "warmup_steps": 40, "n_step": 1}
     with make_trainer(environment=driven(Carriage), **QUIET, **changes) as trainer:
         trainer.person.pause()
         threading.Timer(PAUSE, trainer.person.go_on).start()
@@ -136,3 +144,56 @@ def test_a_stopped_robot_gets_no_command_before_its_next_reset():
     assert not following["done"]
     assert robot.told[2:] == ["reset", "command"]
     env.close()
+
+
+def test_training_goes_on_with_a_reset_where_an_evaluation_has_moved_the_robot(
+    make_trainer, driven, caplog
+):
+    robot = Carriage()
+    changes = {
+        "total_steps": 60,
+        "warmup_steps": 45,
+        "steps_per_collection": 15,
+        "n_step": 1,
+        "checkpoint": CheckpointSettings(every=0),
+        "evaluation": EvaluationSettings(every=15, episodes=1, final_episodes=1),
+    }
+    with make_trainer(environment=driven(robot), **{**QUIET, **changes}) as trainer:
+        trainer.run()
+        stored = trainer.replay[:]
+        assert robot.told[-1] == "stop"
+    moved = stored["next", "end_effector_position"] - stored["end_effector_position"]
+    assert torch.equal(moved, torch.ones_like(moved))
+    assert "trainer.collection=realtime does not let it wait" in caplog.text
+
+
+def test_a_robot_is_stopped_when_a_run_fails(make_trainer, driven):
+    robot = Carriage({15: lambda: 1 / 0})
+    trainer = make_trainer(environment=driven(robot), **QUIET)
+    with pytest.raises(ZeroDivisionError):
+        trainer.run()
+    assert robot.told[-1] == "stop"
+    trainer.close()
+
+
+def test_two_processes_never_drive_one_robot(make_trainer, driven):
+    with pytest.raises(ValueError, match="expected turn or realtime for a robot"):
+        make_trainer(environment=driven(Carriage), collection="overlap", **QUIET)
+    assert not multiprocessing.active_children()
+
+
+def test_a_trainer_that_cannot_be_made_closes_its_environment(make_trainer, driven):
+    def agent(**_):
+        raise ValueError("no such network")
+
+    robot = Carriage()
+    with pytest.raises(ValueError, match="no such network"):
+        make_trainer(environment=driven(robot), agent=agent)
+    assert robot.told[-1] == "close"
+
+
+def test_a_flag_named_stop_is_no_robot():
+    class Flagged(PointMass):
+        stop = False
+
+    assert stop_of(Flagged([1])) is None

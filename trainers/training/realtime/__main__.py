@@ -14,6 +14,7 @@ from pathlib import Path
 from rrl.pace import Pace, prioritize
 
 from ...environment import EnvironmentFactory, ResumableEnv
+from ...requests import stand_still, stop_of
 from ...settings import TrainerSettings
 from ...storage.files import lock
 from ...storage.transition_log import FOLDER as TRANSITIONS
@@ -47,7 +48,7 @@ class _Process:
         env, interface, explore = prepare(settings, environment, exploration)
         try:
             pace = _pace(settings, environment, env)
-            is_robot = hasattr(env.base_env, "pace")
+            is_robot = stop_of(env) is not None
             self.hand_over.write("interface", (interface, Authority.of(env), is_robot))
             if not self._wait_for_weights():
                 return
@@ -59,7 +60,7 @@ class _Process:
             try:
                 acting.run()
             finally:
-                acting.stop()
+                stand_still(env)
                 acting.thread.close()
         finally:
             env.close()

@@ -18,10 +18,11 @@ from rrl.robot import RobotFault
 from rrl.slot_random import seed_env
 
 from ...environment import ResumableEnv
-from ...requests import Requests, stop_of
+from ...requests import Requests, stand_still
 from ...settings import TrainerSettings
 from ...storage.transition_log import FOLDER, TransitionLog
 from ..collection_metrics import Authority
+from ..interface import Annealing
 from ..policy_vector import assign
 from .ending import Ending
 from .hand_over import HandOver, Weights
@@ -82,8 +83,8 @@ class Acting:
         self._keeps_pace = pace is not getattr(env.base_env, "pace", None)
         self._keys = _stored(env)
         self._unwritten: list[TensorDictBase] = []
-        self._count, self._annealed = self.log.count, 0
-        self._anneal(self._count)  # a process that follows another one explores as that one would
+        self._count, self._annealing = self.log.count, Annealing(exploration)
+        self._annealing.reach(self._count)  # who follows another one explores as that one would
         self._weights = Weights(-1, -1, torch.empty(0))
         self._last_command: Tensor | None = None
         self._missed = self._faults = 0  # since the last record
@@ -114,15 +115,6 @@ class Acting:
             if not back:
                 self._sleep(self.settings.realtime.retry)
 
-    def stop(self) -> None:
-        """Have the robot stand still, if the environment is one that can."""
-        stop = stop_of(self.env.base_env)
-        if stop is not None:
-            try:
-                stop()
-            except RobotFault as fault:  # it stops by itself: nobody commands it any more
-                log.debug("stop: %s", fault)
-
     def _try_episode(self, was_fine: bool) -> bool:
         """Play an episode; return whether the robot did what it should."""
         began = time.monotonic()
@@ -136,14 +128,14 @@ class Acting:
             self._episode(td, time.monotonic() - began)
         except RobotFault as fault:
             self._faults += 1
-            self.stop()
+            stand_still(self.env)
             if was_fine:
                 log.warning("the robot is stopped: %s; trying to reset it until it is back", fault)
             return False
         except _Stopped:
-            self.stop()
+            stand_still(self.env)
         if self.is_done or self.ending.is_asked or self.hand_over.is_wanted():
-            self.stop()
+            stand_still(self.env)
         return True
 
     def _episode(self, td: TensorDictBase, reset_seconds: float) -> None:
@@ -211,7 +203,7 @@ class Acting:
         while self._unwritten:
             self.log.append(self._unwritten[0])
             del self._unwritten[0]
-        self._anneal(self._count)
+        self._annealing.reach(self._count)
 
     def _take_weights(self) -> None:
         """Act with the newest weights from now on, all of them."""
@@ -223,12 +215,6 @@ class Acting:
         if weights.seed != self._weights.seed:
             seed_env(self.env.base_env, weights.seed)
         self._weights = weights
-
-    def _anneal(self, env_steps: int) -> None:
-        anneal = getattr(self.exploration, "step", None)
-        if anneal is not None:
-            anneal(env_steps - self._annealed)
-        self._annealed = env_steps
 
     def _sleep(self, seconds: float) -> None:
         ends = time.monotonic() + seconds

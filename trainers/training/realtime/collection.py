@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from tensordict import TensorDictBase
@@ -59,6 +60,7 @@ class RealTime(Collection):
 
     Raises:
         RuntimeError: If the process dies. What the environment raises is raised here.
+        ValueError: By the first collection, if the process's log lacks steps of the run.
     """
 
     def __init__(
@@ -66,7 +68,7 @@ class RealTime(Collection):
         settings: TrainerSettings,
         environment: EnvironmentFactory,
         exploration: Exploration,
-        run_dir: Any,
+        run_dir: Path,
     ) -> None:
         self.settings = settings
         self.requests = Requests()  # of this process's environments: evaluations
@@ -74,16 +76,20 @@ class RealTime(Collection):
         self._hand_over.folder.mkdir(parents=True, exist_ok=True)
         self._recipe = settings, environment, exploration
         self._process: subprocess.Popen[bytes] | None = None
-        self._owns = False
+        self._owns = self._stopped = False
         self._seed = self._seed_anew = first_seed(Stream.TRAINING, settings.seed)
         self._returns = EpisodeReturns(1)
         self._log = TransitionLog(self._hand_over.folder / TRANSITIONS)
         self._found = self._finds_process()
-        if not self._found:
-            self._start()
-        elif (weights := self._hand_over.new_weights()) is not None:
-            self._seed = weights.seed  # its episodes go on as they are
-        self.interface, self._authority, self._is_robot = self._wait_for("interface")
+        try:
+            if not self._found:
+                self._start()
+            elif (weights := self._hand_over.new_weights()) is not None:
+                self._seed = weights.seed  # its episodes go on as they are
+            self.interface, self._authority, self._is_robot = self._wait_for("interface")
+        except BaseException:
+            self.close()
+            raise
         self._relayed = self._end_of_messages()
 
     def tell(self, request: Request) -> None:
@@ -99,11 +105,14 @@ class RealTime(Collection):
 
     def collect(self, env_steps: int) -> tuple[TensorDictBase, Metrics]:
         """Give the process the newest weights, and wait for the round to be there."""
-        self._take_over()
+        self._require_steps(env_steps)
+        if self._stopped:
+            self._start_another()
         self._publish(env_steps)
         end = env_steps + self.settings.steps_per_round
         while self._log.refresh() < end:
             self._relay()
+            self.requests.check()
             if self._has_made_its_steps():
                 self._follow()
                 self._publish(env_steps)
@@ -127,6 +136,7 @@ class RealTime(Collection):
 
     def start_episode(self, seed: int) -> None:
         """Let a process that was started anew draw from ``seed``; one that was found goes on."""
+        self._take_over()
         self._seed_anew = seed
         if not self._found:
             self._seed = seed
@@ -150,20 +160,47 @@ class RealTime(Collection):
         """Restore :meth:`state_dict`."""
         self._returns.running = state["returns"]
 
-    def close(self) -> None:
+    def stop(self) -> None:
         """Have the process stop the robot and end, unless it is another learner's."""
         if not (self._owns or self._process):
             return
-        if self._hand_over.is_alive():
-            pid = int((self._hand_over.folder / "pid").read_text())
-            os.kill(pid, signal.SIGTERM)
-            ends = time.monotonic() + CLOSE_SECONDS
-            while self._hand_over.is_alive() and time.monotonic() < ends:
-                time.sleep(POLL)
-            if self._hand_over.is_alive():
-                os.kill(pid, signal.SIGKILL)
+        self._send(signal.SIGTERM)
+        ends = time.monotonic() + CLOSE_SECONDS
+        while self._runs() and time.monotonic() < ends:
+            time.sleep(POLL)
+        self._send(signal.SIGKILL)
         if self._process is not None:
             self._process.wait()
+        self._process, self._owns, self._found, self._stopped = None, False, False, True
+
+    def stop_at_once(self) -> None:
+        """Have the process stop the robot and end; it would go on without a learner."""
+        if self._owns or self._process:
+            self._send(signal.SIGTERM)
+
+    def close(self) -> None:
+        """Have the process stop the robot and end, unless it is another learner's."""
+        self.stop()
+
+    def _runs(self) -> bool:
+        if self._process is not None:
+            return self._process.poll() is None
+        return self._hand_over.is_alive()
+
+    def _send(self, number: signal.Signals) -> None:
+        """Send the process a signal, if it runs."""
+        if self._process is not None:
+            self._process.send_signal(number)
+        elif self._hand_over.is_alive():
+            os.kill(int((self._hand_over.folder / "pid").read_text()), number)
+
+    def _require_steps(self, env_steps: int) -> None:
+        """Refuse to have the robot make again what the run has made."""
+        if (count := self._log.refresh()) < env_steps:
+            raise ValueError(
+                f"{self._log.folder}: expected the {env_steps} transitions that the run has "
+                f"learned from, got {count}; put the folder back, or start a new run"
+            )
 
     def _publish(self, env_steps: int) -> None:
         self._hand_over.publish(Weights(env_steps, self._seed, flatten(self._policy)))
@@ -187,9 +224,13 @@ class RealTime(Collection):
         """Start another process, for the steps by which the run is longer than it was."""
         log.info("the run is longer than the process knew that has driven the environment")
         self._found, self._seed = False, self._seed_anew
+        self._start_another()
+
+    def _start_another(self) -> None:
         self._start()
         self._wait_for("interface")
         self.set_policy(self._policy)
+        self._stopped = False
 
     def _finds_process(self) -> bool:
         """Return whether an earlier learner's process acts.
@@ -230,8 +271,7 @@ class RealTime(Collection):
 
     def _require_process(self) -> None:
         """Raise what ended the process, if it has ended."""
-        started = self._process is not None and self._process.poll() is None
-        if started or self._hand_over.is_alive():
+        if self._runs():
             return
         if (failure := self._hand_over.read("failure")) is not None:
             error, text = pickle.loads(failure)

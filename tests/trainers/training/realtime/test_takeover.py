@@ -1,9 +1,11 @@
 """Whoever takes over from a learner or an acting process goes on where that one was."""
 
 import os
+import shutil
 import signal
 import threading
 from functools import partial
+from multiprocessing import get_context
 
 import pytest
 import torch
@@ -16,7 +18,9 @@ from realtime_runs import (
     learn_and_be_killed,
     wait_for,
 )
+from rrl.robot import RobotFault
 from rrl.trainers.storage.transition_log import TransitionLog
+from rrl.trainers.training.interruption import Interrupted
 from rrl.trainers.training.realtime.hand_over import HandOver
 from rrl.trainers.training.realtime.records import read_usable
 from runs import run
@@ -78,6 +82,20 @@ class Blinking(Paced):
             self.ended += 1  # the next one is whole
             out["goal"] = torch.full_like(out["goal"], float("nan"))
         return out
+
+
+class SwitchedOff(Paced):
+    """Does not answer after its 60th step, until there is a file."""
+
+    def __init__(self, file, num_envs=1):
+        super().__init__(num_envs)
+        self.file, self.steps_taken = file, 0
+
+    def _step(self, tensordict):
+        self.steps_taken += 1
+        if self.steps_taken > 60 and not self.file.exists():
+            raise RobotFault("silent")
+        return super()._step(tensordict)
 
 
 def kill_the_process(trainer):
@@ -157,6 +175,58 @@ def test_a_record_that_is_not_finite_is_replaced_by_its_neighbor(make, tmp_path,
         assert torch.equal(found["goal"][21:], data["goal"][41:60])
         assert found["timing", "first"].flatten()[20:22].tolist() == [True, True]
     assert caplog.text.count("1 of the acting process's records (40)") == 2
+
+
+def test_a_run_stops_though_its_robot_is_switched_off_and_goes_on_later(make, tmp_path):
+    trainer = make(base=partial(SwitchedOff, tmp_path / "on"), realtime={"retry": 0.1})
+    process = HandOver(trainer.run_dir / "realtime")
+
+    def stop_in_fault():
+        log = TransitionLog(trainer.run_dir / "realtime/transitions")
+        wait_for(lambda: log.refresh() == 60)
+        trainer.person.stop()
+
+    threading.Thread(target=stop_in_fault, daemon=True).start()
+    with pytest.raises(Interrupted):
+        trainer.run()
+    assert trainer.env_steps <= 60
+    assert not process.is_alive()
+    (tmp_path / "on").touch()
+    trainer.resume()
+    data = acted(run(trainer).run_dir)
+    assert trainer.env_steps == len(data) == 120
+    assert torch.equal(trainer.replay[:]["action"], data["action"])
+
+
+def test_the_process_does_not_outlive_a_learner_that_is_stopped_at_once(make, tmp_path):
+    def twice(trainer):
+        for _ in range(2):
+            os.kill(os.getpid(), signal.SIGINT)
+
+    child = get_context("fork").Process(target=learn, args=(make, 40, twice), kwargs=SLOW)
+    child.start()
+    child.join()
+    assert child.exitcode == -signal.SIGINT
+    wait_for(lambda: not HandOver(tmp_path / "run/realtime").is_alive(), 5.0)
+
+
+def test_a_trainer_that_cannot_be_made_leaves_no_process(make, tmp_path):
+    def agent(**_):
+        raise ValueError("no such network")
+
+    with pytest.raises(ValueError, match="no such network"):
+        make(agent=agent)
+    assert not HandOver(tmp_path / "run/realtime").is_alive()
+
+
+def test_a_robot_makes_no_step_again_whose_record_is_gone(make, tmp_path):
+    run(make(total_steps=60))
+    shutil.rmtree(tmp_path / "run/realtime")
+    trainer = make(total_steps=80)
+    trainer.resume()
+    with trainer, pytest.raises(ValueError, match="expected the 60 transitions that the run has"):
+        trainer.run()
+    assert TransitionLog(tmp_path / "run/realtime/transitions").count == 0
 
 
 @pytest.mark.slow
