@@ -2,6 +2,7 @@
 
 import multiprocessing
 import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -81,9 +82,16 @@ def driven(factory):
 
 def test_the_step_that_finds_a_pause_ends_the_episode(make_trainer, driven):
     changes = {"total_steps": 80, "warmup_steps": 40, "n_step": 1}
-    with make_trainer(environment=driven(Carriage), **QUIET, **changes) as trainer:
+    robot = Carriage()
+    with make_trainer(environment=driven(robot), **QUIET, **changes) as trainer:
+
+        def go_on():
+            while "stop" not in robot.told:
+                time.sleep(0.01)
+            trainer.person.go_on()
+
         trainer.person.pause()
-        threading.Timer(PAUSE, trainer.person.go_on).start()
+        threading.Thread(target=go_on, daemon=True).start()
         trainer.run()
         ends = trainer.replay[:]["next", "done"].flatten().nonzero().flatten()
         assert ends[:3].tolist() == [0, EPISODE_STEPS, 2 * EPISODE_STEPS]

@@ -203,7 +203,8 @@ def test_the_process_does_not_outlive_a_learner_that_is_stopped_at_once(make, tm
         for _ in range(2):
             os.kill(os.getpid(), signal.SIGINT)
 
-    child = get_context("fork").Process(target=learn, args=(make, 40, twice), kwargs=SLOW)
+    changes = {**SLOW, "total_steps": 1000}
+    child = get_context("fork").Process(target=learn, args=(make, 40, twice), kwargs=changes)
     child.start()
     child.join()
     assert child.exitcode == -signal.SIGINT
