@@ -13,7 +13,6 @@ from torch import Tensor
 from rrl.algorithms import Agent
 
 from ..loggers import metrics
-from ..loggers.timing import Stopwatch
 from ..settings import TrainerSettings
 from ..storage.files import write_atomically
 from ..storage.finite import require_finite
@@ -21,6 +20,7 @@ from ..storage.replay_store import ReplayStore
 from ..storage.run_files import DERIVED
 from .collection import Metrics
 from .constraints import Constraints
+from .timing import Stopwatch
 
 __all__ = ["LearnerGenerator", "Learning"]
 

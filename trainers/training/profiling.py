@@ -10,7 +10,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import TransformedEnv
 
 from ..loggers import metrics
-from ..loggers.timing import Stopwatch
+from .timing import Stopwatch
 
 NESTED = {"sample": "update", "compile": "update"}
 """Sections that another one contains."""

@@ -18,7 +18,6 @@ from ..environment import EnvironmentFactory
 from ..evaluation.episodes import Comparison
 from ..evaluation.evaluator import Evaluator
 from ..loggers import CSVLogger, Guarded, MetricsLogger, metrics
-from ..loggers.timing import Stopwatch
 from ..seeds import Stream, first_seed
 from ..settings import TrainerSettings
 from ..storage.checkpoints import Checkpoints, newest_whole, saved_note
@@ -39,6 +38,7 @@ from .person import Person
 from .profiling import Profile, measured
 from .progress import Progress
 from .schedule import announce, checkpoint_due, evaluation_due
+from .timing import Stopwatch
 from .torch_setup import configure_torch
 
 __all__ = ["Trainer"]
