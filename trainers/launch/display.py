@@ -18,6 +18,7 @@ from rich.progress import (
 
 from ..console import Output
 from ..loggers import metrics
+from ..loggers.csv_file import whole_rows
 from ..storage.run_files import METRICS
 from .job import Job
 
@@ -69,16 +70,18 @@ class Display:
         self._jobs[self._bars.add_task(job.name, total=job.total_steps or None, status="")] = job
 
     def ended(self, job: Job, done: bool) -> None:
-        """Remove a run's bar."""
-        for task in [task for task, shown in self._jobs.items() if shown is job]:
+        """Remove a run's bar; what has none was never started."""
+        tasks = [task for task, shown in self._jobs.items() if shown is job]
+        for task in tasks:
             self._bars.remove_task(task)
             del self._jobs[task]
+        word = "done   " if done else "FAILED " if tasks else "NOT STARTED"
         self._ended += 1
-        self._failed += not done
+        self._failed += bool(tasks) and not done
         self._ended_steps += job.total_steps
         _, success = latest(job.path)
         result = f"success {success:.0%}" if success is not None else ""
-        self.console.say(f"{'done   ' if done else 'FAILED '}  {job.name}  {result}")
+        self.console.say(f"{word}  {job.name}  {result}")
 
     def refresh(self) -> None:
         """Read how far the runs are."""
@@ -105,26 +108,21 @@ def latest(run_dir: Path) -> tuple[int, float | None]:
     Only the end of ``metrics.csv`` is read; the success is None if no evaluation is there.
     """
     steps, evaluated, success = 0, -1, None
-    for line in _last_lines(run_dir / METRICS):
-        cells = line.split(",")
-        if len(cells) < 3 or not cells[0].isdigit():
-            continue
-        steps = int(cells[0])
-        group, _, entry = cells[-2].partition("/")
+    for steps, metric, value in whole_rows(_end(run_dir / METRICS)):
+        group, _, entry = metric.partition("/")
         first = steps > evaluated  # the followed scenario is evaluated before the others
         followed = first and group == metrics.EVALUATION and entry.count("/") == 1
         if followed and entry.endswith("/success"):
-            evaluated, success = steps, float(cells[-1])
+            evaluated, success = steps, value
     return steps, success
 
 
-def _last_lines(path: Path) -> list[str]:
-    """Return whole lines from the end of a file; the last one may not be written to its end yet."""
+def _end(path: Path) -> str:
+    """Return the last text of a file; empty if there is none."""
     try:
         with path.open("rb") as file:
             size = file.seek(0, os.SEEK_END)
             file.seek(max(0, size - TAIL_BYTES))
-            text = file.read().decode(errors="replace")
+            return file.read().decode(errors="replace")
     except OSError:
-        return []
-    return text[: text.rfind("\n") + 1].splitlines()
+        return ""

@@ -13,7 +13,7 @@ from ..storage.run_files import METRICS
 from .base import MetricsLogger
 from .metrics import STEP_AXIS, Values
 
-__all__ = ["CSVLogger", "read_metrics"]
+__all__ = ["CSVLogger", "read_metrics", "whole_rows"]
 
 Row = tuple[int, str, float]
 
@@ -24,7 +24,7 @@ class CSVLogger(MetricsLogger):
     def start(self, run_dir: Path, config: Mapping[str, Any], env_steps: int) -> None:
         """Open the file; a resumed run keeps the rows up to ``env_steps``."""
         path = run_dir / METRICS
-        rows = [row for row in _whole_rows(path) if row[0] <= env_steps] if env_steps else []
+        rows = [row for row in _rows_of(path) if row[0] <= env_steps] if env_steps else []
         partial = path.with_suffix(".partial")
         with partial.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
@@ -61,14 +61,18 @@ def read_metrics(run_dir: Path) -> dict[str, list[tuple[int, float]]]:
     if not path.is_file():
         raise FileNotFoundError(f"{run_dir}: expected {METRICS}, got none: is the CSV logger on?")
     out: dict[str, list[tuple[int, float]]] = {}
-    for env_steps, metric, value in _whole_rows(path):
+    for env_steps, metric, value in _rows_of(path):
         out.setdefault(metric, []).append((env_steps, value))
     return out
 
 
-def _whole_rows(path: Path) -> Iterator[Row]:
-    """Yield the rows that can be read: not the header, nor one that a crash has torn."""
+def _rows_of(path: Path) -> Iterator[Row]:
     text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+    return whole_rows(text)
+
+
+def whole_rows(text: str) -> Iterator[Row]:
+    """Yield the rows that can be read: not the header, nor one that a crash has torn."""
     for line in text[: text.rfind("\n") + 1].splitlines():
         env_steps, _, rest = line.partition(",")
         metric, _, value = rest.rpartition(",")

@@ -1,6 +1,10 @@
 """What the terminal says of a run under way."""
 
-from rrl.trainers.launch.display import latest
+import io
+
+from rrl.trainers.console import Output
+from rrl.trainers.launch.display import Display, latest
+from rrl.trainers.launch.job import Job
 from rrl.trainers.loggers import CSVLogger
 
 
@@ -28,3 +32,23 @@ def test_a_run_that_was_not_evaluated_has_no_success(tmp_path):
     write(tmp_path, [(100, {"loss/critic": 1.0})])
     assert latest(tmp_path) == (100, None)
     assert latest(tmp_path / "nowhere") == (0, None)
+
+
+def test_a_damaged_row_is_passed_over(tmp_path):
+    write(tmp_path, [(100, {"eval/misaligned/success": 0.5})])
+    with (tmp_path / "metrics.csv").open("a") as file:
+        file.write("200,eval/misaligned/success,0.7x\n")
+    assert latest(tmp_path) == (100, 0.5)
+
+
+def test_a_run_that_was_never_started_has_not_failed(tmp_path):
+    jobs = [Job(tmp_path / name, {"trainer": {"total_steps": 100}}) for name in ("first", "second")]
+    file = io.StringIO()
+    display = Display(Output(file=file))
+    with display.showing(jobs, done=[], slots=1):
+        display.started(jobs[0])
+        for job in jobs:
+            display.ended(job, done=False)
+    failed, blocked = file.getvalue().splitlines()[-2:]
+    assert failed.startswith("FAILED ") and "first" in failed
+    assert blocked.startswith("NOT STARTED ") and "second" in blocked
