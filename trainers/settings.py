@@ -258,12 +258,13 @@ class TrainerSettings(_Settings):
     @model_validator(mode="after")
     def _check(self) -> TrainerSettings:
         per_round = f"steps_per_collection x num_envs ({self.steps_per_round})"
-        warmup = self.warmup_steps
-        if self.total_steps and warmup is not None and warmup >= self.total_steps:
-            raise ValueError(
-                f"warmup_steps: expected less than total_steps ({self.total_steps}), or nothing is "
-                f"learned, got {warmup}"
-            )
+        for name, length in self.lengths.items():
+            if self.total_steps and length is not None and length >= self.total_steps:
+                nothing = "learned" if name == "warmup_steps" else "explored"
+                raise ValueError(
+                    f"{name}: expected less than total_steps ({self.total_steps}), or nothing is "
+                    f"{nothing}, got {length}"
+                )
         if abs(self.steps_per_round * self.updates_per_step - self.updates_per_round) > 1e-9:
             raise ValueError(
                 f"updates_per_step: expected a whole number of updates for {per_round}, "

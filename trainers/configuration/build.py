@@ -49,7 +49,7 @@ def environment(config: Config) -> EnvironmentFactory:
         controller=build(config["controller"]),
         inputs=_inputs(env["inputs"]),
         critic_inputs=None if env.get("critic_inputs") is None else _inputs(env["critic_inputs"]),
-        disturbances=[build(node) for node in _enabled(config["disturbance"])],
+        disturbances=[build(node) for node in _enabled(config.get("disturbance"))],
         sensing=[build(node) for node in _enabled(env.get("sensing"))],
         safety=[build(node) for node in _enabled(config.get("safety"))],
         residual_scale=config["residual_scale"],
@@ -86,7 +86,7 @@ def scenarios(config: Config) -> dict[str, EnvironmentFactory]:
 
 def loggers(config: Config) -> list[MetricsLogger]:
     """Return the loggers that are switched on."""
-    return [build(node)() for node in _enabled(config["logger"])]
+    return [build(node)() for node in _enabled(config.get("logger"))]
 
 
 def trainer(config: Config, run_dir: Path, progress: Progress | None = None) -> Trainer:

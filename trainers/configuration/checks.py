@@ -38,8 +38,9 @@ def _check_render(config: Config) -> Problems:
     if render["scenario"] is not None and render["scenario"] not in scenarios:
         choices = ", ".join(scenarios)
         yield f"render.scenario: expected one of {choices} or null, got {render['scenario']!r}"
-    if isinstance(render["episode"], str) and render["episode"] != "rescue":
-        yield f"render.episode: expected rescue or a number, got {render['episode']!r}"
+    episode, count = render["episode"], config["trainer"]["evaluation"]["final_episodes"]
+    if episode != "rescue" and (isinstance(episode, str) or not 0 <= episode < count):
+        yield f"render.episode: expected rescue or a number below {count}, got {episode!r}"
 
 
 def _check_init_from(config: Config) -> Problems:

@@ -7,13 +7,16 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from rrl.controllers import ZeroController
+
 from ..environment import Batching
 from ..metric import Metric
 from ..settings import Positive, TrainerSettings
+from ..storage.run_files import PLAIN_NAME
 
 __all__ = ["PlainName", "Schema", "Target", "explain"]
 
-PlainName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9._+=-]*$")]
+PlainName = Annotated[str, Field(pattern=f"^{PLAIN_NAME}$")]
 """A directory or file of that name stays where it is put."""
 Target = dict[str, Any]
 Targets = dict[str, Target | None] | None
@@ -92,7 +95,22 @@ class Schema(Section):
     @model_validator(mode="after")
     def _check(self) -> Schema:
         self.trainer.check_operator(bool(self.operator and self.operator.intervention))
+        _check_arm(self.arm, str(self.controller.get("_target_")), self.trainer.total_steps)
         return self
+
+
+def _check_arm(arm: str, controller: str, total_steps: int) -> None:
+    """Refuse what contradicts the name under which a run is reported."""
+    if arm == "controller" and total_steps:
+        raise ValueError(
+            "trainer.total_steps: expected 0 with arm=controller, which trains nothing, got "
+            f"{total_steps}; to train above the controller, choose arm=residual"
+        )
+    if arm == "rl" and controller.rpartition(".")[2] != ZeroController.__name__:
+        raise ValueError(
+            "controller: expected controller=zero with arm=rl, which learns without one, got "
+            f"{controller}; to train above it, choose arm=residual"
+        )
 
 
 def explain(error: ValidationError, prefix: str = "") -> list[str]:

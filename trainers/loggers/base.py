@@ -28,7 +28,7 @@ class MetricsLogger(ABC):
 
     @abstractmethod
     def start(self, run_dir: Path, config: Mapping[str, Any], env_steps: int) -> None:
-        """Open the sink and forget what was logged after ``env_steps``.
+        """Open the sink and forget what was logged after ``env_steps``, where the sink can.
 
         Args:
             run_dir: The run's directory.

@@ -29,7 +29,9 @@ class WandbLogger(MetricsLogger):
     Every metric is drawn over ``env_steps``, in a section of the first part of its name. The
     configuration is stored with the package versions under ``versions``. The run's id is kept in
     ``wandb_id``, so that a resumed run continues the same W&B run. ``wandb sync`` uploads an
-    offline run later. W&B's own ``WANDB_MODE`` and ``WANDB_DISABLED`` stand above ``online``.
+    offline run later. What it has of steps after the checkpoint that is resumed stays there, and
+    these steps are logged once more. W&B's own ``WANDB_MODE`` and ``WANDB_DISABLED`` stand above
+    ``online``.
 
     Args:
         project: W&B project.
@@ -39,6 +41,9 @@ class WandbLogger(MetricsLogger):
         job_type: Its part in the comparison, for instance the arm.
         tags: Labels of the run.
         name: The run's display name. None: the name of its directory.
+
+    Raises:
+        ValueError: If ``online`` or ``tags`` is text, which would be true, or a tag a letter.
     """
 
     CONNECT_SECONDS = 30.0
@@ -54,11 +59,15 @@ class WandbLogger(MetricsLogger):
         tags: Sequence[str] = (),
         name: str | None = None,
     ) -> None:
+        if not isinstance(online, bool):
+            raise ValueError(f"online: expected true or false, got {online!r}")
+        if isinstance(tags, str):
+            raise ValueError(f"tags: expected a list, such as [{tags}], got {tags!r}")
         self.project, self.online, self.name = project, online, name
         self.group, self.job_type, self.tags = group, job_type, list(tags)
 
     def start(self, run_dir: Path, config: Mapping[str, Any], env_steps: int) -> None:
-        """Start or continue the W&B run."""
+        """Start or continue the W&B run; nothing that it has is forgotten."""
         import wandb
 
         identity = run_dir / "wandb_id"

@@ -15,6 +15,9 @@ REPORT = "report.html"
 LOG = "log.txt"
 EXPORT = "export"
 
+PLAIN_NAME = r"[A-Za-z0-9_][A-Za-z0-9._+=-]*"
+"""A file or directory of that name stays where it is put."""
+
 
 def seed_directories(run_dir: Path) -> list[Path]:
     """Return the runs of a group, ``seed-<n>`` below its directory, by seed."""

@@ -49,6 +49,8 @@ BROKEN = {
     "render.format=avi": ["render.format", "mp4", "avi"],
     "render.scenario=upside_down": ["render.scenario", "misaligned", "upside_down"],
     "render.episode=best": ["render.episode", "rescue", "best"],
+    "render.episode=100": ["render.episode", "a number below 100", "100"],
+    "render.episode=-1": ["render.episode", "a number below 100", "-1"],
     # an operator
     "operator=monkey": ["operator", "monkey"],
     "trainer.intervention_share=0.2": ["expected 0 without an operator", "0.2"],
@@ -73,6 +75,8 @@ BROKEN = {
     "+env.base.clearance=wide": [BASE, "clearance", "wide"],
     "algorithm.agent.network.hidden=big": [AGENT, "hidden", "whole numbers"],
     "algorithm.agent.network.hidden=[64,wide]": [AGENT, "wide"],
+    "logger.wandb.online=no": ["logger.wandb: online: expected true or false, got 'no'"],
+    "logger.wandb.tags=abc": ["logger.wandb: tags: expected a list", "'abc'"],
     "controller._target_=null": ["controller", "_target_", "None"],
     "env.inputs=[goal]": ["env.inputs=[goal]", "DictConfig"],
     # out of range
@@ -116,6 +120,9 @@ BROKEN = {
         "end_effector_position: expected equal scales"
     ],
     "trainer.warmup_steps=10000": ["warmup_steps", "total_steps (10000)"],
+    "trainer.controller_steps=10000": ["controller_steps", "total_steps (10000)", "explored"],
+    "arm=controller trainer.total_steps=200": ["expected 0 with arm=controller", "got 200"],
+    "arm=rl controller=proportional": ["controller=zero with arm=rl", "ProportionalController"],
     "trainer.steps_per_collection=30": ["total_steps", "10000", "steps_per_collection", "30"],
     "trainer.updates_per_step=0.333": ["updates_per_step", "0.333", "whole number"],
     "trainer.buffer_capacity=100": ["buffer_capacity", "100", "batch (128)"],
@@ -158,11 +165,11 @@ def no_environment(monkeypatch):
     monkeypatch.setattr(InsertionEnv, "__init__", refuse)
 
 
-def message_of(override):
+def message_of(overrides):
     """What ``rrl train`` says of a configuration; empty if it finds nothing wrong."""
     try:
         config = OmegaConf.to_container(
-            compose("train", overrides=[override]), resolve=True, throw_on_missing=True
+            compose("train", overrides=overrides.split()), resolve=True, throw_on_missing=True
         )
         assembly.check(config)
     except (HydraException, OmegaConfBaseException, ValueError) as error:
@@ -193,6 +200,15 @@ def test_all_problems_come_at_once():
         "trainer.num_seeds",
         "render.fps",
     ]
+
+
+@pytest.mark.parametrize("group", ["disturbance", "safety", "operator", "logger", "init_from"])
+def test_what_may_be_left_out_is_read_by_nobody(group):
+    config = OmegaConf.to_container(compose("train"), resolve=True)
+    del config[group]
+    assembly.check(config)
+    assembly.environment(config)
+    assembly.loggers(config)
 
 
 def test_the_shipped_configuration_is_fine():
