@@ -14,6 +14,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, TransformedEnv
 from torchrl.envs.transforms import Compose, Transform
 
+from rrl.checks import check_length
 from rrl.inputs import Input
 from rrl.keys import ACTION, BASE_ACTION, PREVIOUS_ACTION
 from rrl.symmetry import Symmetry, as_map
@@ -213,7 +214,9 @@ class EnvironmentFactory:
             env.append_transform(make())
         if operated and self.intervention is not None:
             env.append_transform(self.intervention())
-        env.append_transform(ResidualAction(self.controller(), scale=self.residual_scale))
+        residual = ResidualAction(self.controller(), scale=self.residual_scale)
+        env.append_transform(residual)
+        check_length("residual_scale", residual.scale, residual.limits().shape[-1], "the action")
         if PREVIOUS_ACTION in {*self.inputs, *(self.critic_inputs or ())}:
             env.append_transform(ActionHistory(self.action_history))
         self.read_inputs(env)

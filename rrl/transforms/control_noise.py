@@ -108,15 +108,16 @@ class ControlNoise(ActionTransform, RandomTransform):
         return torch.clamp(disturbed, limits.low, limits.high)
 
     def _scale(self, limits: ActionLimits) -> tuple[Tensor, Tensor]:
-        for name, value in (("mu", self.mu), ("sigma", self.sigma)):
-            check_length(name, value, limits.shape[-1], "the action")
         unit = limits.half_range
         self._scaled = self.mu.to(unit) * unit, self.sigma.to(unit) * unit
         return self._scaled
 
     def _take_limits(self, action_spec: Composite) -> ActionLimits:
         self._scaled = None
-        return super()._take_limits(action_spec)
+        limits = super()._take_limits(action_spec)
+        for name, value in (("mu", self.mu), ("sigma", self.sigma)):
+            check_length(name, value, limits.shape[-1], "the action")
+        return limits
 
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
         return {"executed": torch.zeros_like(self.limits().low)}
