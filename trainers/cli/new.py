@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import keyword
 from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
 PLACEHOLDER = "__project__"
 """Stands for the project's name in the template's file names and texts."""
 SUFFIX = ".template"
+NO_NAMES = ("null", "true", "false", "nan", "inf")
+"""Values in Hydra's grammar."""
 
 
 def create(name: str, folder: Path) -> list[Path]:
@@ -26,16 +29,20 @@ def create(name: str, folder: Path) -> list[Path]:
         The files that were written.
 
     Raises:
-        ValueError: if ``name`` cannot be imported as a package or would hide this one.
+        ValueError: if ``name`` cannot be imported as a package, is that of one already, or is none
+            that an override ``env=NAME`` can have.
         FileExistsError: if there is something of that name already.
     """
-    if not name.isidentifier() or keyword.iskeyword(name) or name in ("rrl", "configs"):
+    plain = name.isascii() and name.isidentifier() and name.lower() not in NO_NAMES
+    if not plain or keyword.iskeyword(name) or name == "configs":
         raise ValueError(
-            f"expected a name that Python can import, such as my_project, got {name!r}"
+            f"name: expected ASCII that Python can import, such as my_project, got {name!r}"
         )
     target = folder / name
     if target.exists():
         raise FileExistsError(f"{target} exists already: choose another name")
+    if find_spec(name) is not None:
+        raise ValueError(f"name: expected one that no package has, got {name!r}; choose another")
     return sorted(_copy(files(__package__) / "template", target, name))
 
 

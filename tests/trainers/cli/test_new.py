@@ -86,9 +86,15 @@ def test_the_new_environment_keeps_its_specs(tmp_path, monkeypatch):
     check_env_specs(import_module("reaching.env").Point())
 
 
-@pytest.mark.parametrize("name", ["my-project", "1st", "class", "rrl", "configs"])
+@pytest.mark.parametrize("name", ["my-project", "1st", "class", "configs", "größe", "Null"])
 def test_a_name_that_cannot_be_imported_is_refused(name, tmp_path):
     with pytest.raises(ValueError, match="Python can import"):
+        create(name, tmp_path)
+
+
+@pytest.mark.parametrize("name", ["rrl", "test", "json", "numpy"])
+def test_a_name_of_another_package_is_refused(name, tmp_path):
+    with pytest.raises(ValueError, match="expected one that no package has"):
         create(name, tmp_path)
 
 
