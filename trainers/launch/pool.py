@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from ..configuration.checks import problems
 from ..console import Output
 from ..training.interruption import Interrupted, Interruption
 from .display import Display
@@ -50,6 +51,7 @@ def launch(
 
     Raises:
         Interrupted: By a signal, after every run that was under way has saved itself.
+        ValueError: If the configuration of one is wrong; none is started.
     """
     ending = Ending(done=[job for job in jobs if job.finished])
     for job in ending.done:
@@ -57,6 +59,7 @@ def launch(
     if workers == 0:
         console.say(f"{len(jobs)} runs, {len(ending.done)} of them finished; none is run now")
         return ending
+    _check([job for job in jobs if job not in ending.done])
     launcher = make(name, workers)
     try:
         return run_jobs(jobs, launcher, Display(console), ending, keep)
@@ -113,6 +116,17 @@ def require_all(ending: Ending, console: Output) -> None:
         raise RuntimeError(
             f"{missing} runs are missing, {failed} failed; the same command tries them again"
         )
+
+
+def _check(jobs: Sequence[Job]) -> None:
+    """Name every problem once, with the runs that have it; seeds of one folder are alike."""
+    found: dict[str, str] = {}
+    for folder, job in {job.path.parent: job for job in jobs}.items():
+        sourced = {"init_from": None} if job.needs else {}  # what it starts from is made first
+        for problem in problems({**job.config, **sourced}):
+            found.setdefault(problem, folder.name)
+    if found:
+        raise ValueError("\n".join(f"{runs}: {problem}" for problem, runs in found.items()))
 
 
 def _ready(waiting: Sequence[Job], ending: Ending, free: int) -> list[Job]:

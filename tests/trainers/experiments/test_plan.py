@@ -160,6 +160,17 @@ def test_whole_numbers_are_swept_as_such(points, folders):
     assert [p.label for p in found] == ["residual RL, n_step = 1", "residual RL, n_step = 3"]
 
 
+def test_wrong_runs_are_named_before_the_first_one_starts(run, project):
+    arms = {"right": [], "wrong": ["trainer.n_step=99"], "worse": ["algorithm.agent.tau=many"]}
+    write(project / "configs/experiment/three.yaml", {**EXPERIMENT, "arms": arms})
+    with pytest.raises(ValueError, match="n_step: expected at most") as caught:
+        run("three")
+    lines = str(caught.value).splitlines()
+    assert [line.partition(":")[0][:-9] for line in lines] == ["three-0-wrong", "three-0-worse"]
+    assert not (project / "out/runs").exists()
+    assert run("three", workers=0)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
