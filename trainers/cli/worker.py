@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 
-__all__ = ["follow_parent"]
+__all__ = ["follow_parent", "run"]
 
 LOOK_SECONDS = 0.5
 
@@ -28,7 +28,8 @@ def follow_parent(parent: int) -> None:
     threading.Thread(target=watch, name="follow-parent", daemon=True).start()
 
 
-if __name__ == "__main__":
+def run() -> None:
+    """Be the process: the arguments are the parent's id and the command."""
     follow_parent(int(sys.argv[1]))
     from .main import main
 

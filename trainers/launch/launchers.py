@@ -19,8 +19,12 @@ POLL_SECONDS = 0.2
 GRACE_SECONDS = 120.0
 """How long a run that is asked to stop may take to finish its round and save."""
 
-WORKER = "rrl.trainers.cli.worker"
-"""What a run's process executes; by name, because the command line imports this package."""
+WORKER = (
+    "import sys; sys.path[:] = filter(None, sys.path); "
+    "from rrl.trainers.cli.worker import run; run()"
+)
+"""What a run's process executes; as text, because the command line imports this package. Python
+puts the working directory first, where a project's files would hide packages of their names."""
 
 
 class Handle(Protocol):
@@ -121,7 +125,7 @@ def spawn(
     found = {"PYTHONPATH": os.pathsep.join(p for p in path if p)} if path else {}
     with log.open("a", encoding="utf-8") as file:
         return subprocess.Popen(
-            [sys.executable, "-m", WORKER, str(os.getpid()), *arguments],
+            [sys.executable, "-c", WORKER, str(os.getpid()), *arguments],
             stdin=subprocess.DEVNULL,
             stdout=file,
             stderr=subprocess.STDOUT,
