@@ -81,30 +81,33 @@ class TrainedRun:
     """What a run's newest whole checkpoint holds.
 
     Attributes:
-        checkpoint: The checkpoint.
+        checkpoint: The checkpoint; None: nothing was trained, it is the controller alone.
         env_steps: Environment steps at which it was made.
         agent: The learner as it was then.
         handed_over: What the run hands over; whoever uses a run uses its ``policy``.
     """
 
-    checkpoint: Path
+    checkpoint: Path | None
     env_steps: int
     agent: Agent
     handed_over: RunPolicy
 
 
 def trained_run(config: Config, run_dir: Path) -> TrainedRun:
-    """Return what a run's newest whole checkpoint holds.
+    """Return what a run's newest whole checkpoint holds; without training, the controller.
 
     Raises:
-        FileNotFoundError: If there is no checkpoint.
+        FileNotFoundError: If something is to be trained, and there is no checkpoint.
         ValueError: If none is whole.
     """
     factory = assembly.environment(config)
     env = factory.make(1)
     agent: Agent = assembly.agent(config)(**interface_of(factory, env).arguments())
     env.close()
-    handed_over = RunPolicy(agent, assembly.settings(config).acceptance.enabled)
+    settings = assembly.settings(config)
+    if not settings.total_steps:
+        return TrainedRun(None, 0, agent, RunPolicy(agent, tested=True))
+    handed_over = RunPolicy(agent, settings.acceptance.enabled)
     found = load_components(run_dir, {"agent": agent, "handed_over": handed_over})
     return TrainedRun(*found, agent, handed_over)
 

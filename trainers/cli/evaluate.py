@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from datetime import datetime, timezone
+from functools import partial
 from pathlib import Path
 
 from ..configuration import build as assembly
@@ -11,24 +13,22 @@ from ..console import Output
 from ..evaluation.episodes import Comparison, write_results
 from ..evaluation.evaluator import Evaluator
 from ..evaluation.video import choose_episode, render_comparison
-from ..pretrained import best_run, trained_run
-from ..report.runs import Group, find_runs
-from ..report.tables import one_run, terminal_tables
+from ..launch.job import Job, one_seed
+from ..pretrained import TrainedRun, best_run, trained_run
+from ..report.runs import Group, Record, Run, find_runs
+from ..report.tables import handed_over, one_run, rescued, terminal_tables
 from ..seeds import Stream, first_seed
 from ..storage.run_files import VIDEOS, seed_directories
 from ..training.progress import Progress
 from ..training.run_policy import RunPolicy
 
-__all__ = ["evaluate", "film", "film_run", "render"]
-
-Comparisons = Mapping[str, Comparison]
-"""Scenario to its comparison with the controller."""
+__all__ = ["evaluate", "film", "film_run", "load", "only_said", "render"]
 
 
 def evaluate(config: assembly.Config, run_dir: Path, console: Output) -> None:
     """Evaluate the newest checkpoint of a run, or of every seed, on every scenario."""
     for path in seed_directories(run_dir) or [run_dir]:
-        results, _ = _evaluate(config, path, console)
+        results = _evaluate(config, load(config, path, console), console)
         declared = Group("", tuple(find_runs([path]))).declared
         title = f"{config['name']} ({path})"
         console.print(terminal_tables(one_run(results), declared, title=title))
@@ -43,77 +43,92 @@ def render(config: assembly.Config, run_dir: Path, console: Output) -> None:
         console.say(f"  {path}")
 
 
+def load(config: assembly.Config, run_dir: Path, console: Output) -> TrainedRun:
+    """Check the configuration, return what a run's newest checkpoint holds, and say so.
+
+    Raises:
+        ValueError: If the configuration is wrong.
+        FileNotFoundError: See :func:`trained_run`.
+    """
+    assembly.check(config)
+    trained = trained_run(config, run_dir)
+    if trained.checkpoint is None:
+        console.say("nothing was trained: it is the controller alone")
+    else:
+        console.say(f"loaded {trained.checkpoint}")
+    return trained
+
+
 def film_run(config: assembly.Config, run: Path, out: Path, console: Output) -> list[Path]:
-    """Film an episode of a run into ``out``; the run is evaluated if that has to be chosen."""
-    if isinstance(config["render"]["episode"], int):
-        _, handed_over = _load(config, run, console)
-        return film(config, handed_over, {}, out, console)
-    results, handed_over = _evaluate(config, run, console)
-    return film(config, handed_over, results, out, console)
+    """Film an episode of a run into ``out``.
+
+    The run is evaluated if the episode has to be chosen and no evaluation like that is there.
+    """
+    trained, found = load(config, run, console), Run(run, run.name)
+    records: Mapping[str, Record] = found.results
+    numbered = isinstance(config["render"]["episode"], int)
+    if not numbered and not Job(run, one_seed(config, found.seed)).finished:
+        comparisons = _evaluate(config, trained, console)
+        records = {scenario: comparison.record() for scenario, comparison in comparisons.items()}
+    return film(config, trained.handed_over, records, out, console)
 
 
 def _evaluate(
-    config: assembly.Config, run_dir: Path, console: Output
-) -> tuple[Comparisons, RunPolicy]:
-    settings = assembly.settings(config)
-    env_steps, handed_over = _load(config, run_dir, console)
-    evaluator = Evaluator(assembly.scenarios(config), settings.evaluation)
-    results = {}
-    for scenario in Progress(console).track(evaluator.scenarios, "evaluating"):
-        results[scenario] = handed_over.compare(
-            evaluator,
-            env_steps,
-            scenario,
-            Stream.FINAL,
-            settings.evaluation.final_episodes,
-        )
+    config: assembly.Config, trained: TrainedRun, console: Output
+) -> dict[str, Comparison]:
+    """Return the run's comparison with the controller in every scenario."""
+    settings = assembly.settings(config).evaluation
+    evaluator = Evaluator(assembly.scenarios(config), settings)
+    compare = partial(trained.handed_over.compare, evaluator, trained.env_steps)
+    results = {
+        scenario: compare(scenario, Stream.FINAL, settings.final_episodes)
+        for scenario in Progress(console).track(evaluator.scenarios, "evaluating")
+    }
     evaluator.close()
-    return results, handed_over
+    return results
 
 
-def _load(config: assembly.Config, run_dir: Path, console: Output) -> tuple[int, RunPolicy]:
-    """Return what a run hands over, and the environment steps of the checkpoint that has it."""
-    config = {**config, "trainer": {**config["trainer"], "num_seeds": 1}}
-    assembly.check(config)
-    trained = trained_run(config, run_dir)
-    console.say(f"loaded {trained.checkpoint}")
-    return trained.env_steps, trained.handed_over
+@contextmanager
+def only_said(console: Output) -> Iterator[None]:
+    """Have a video that fails say so, and cost nothing of what comes after it."""
+    try:
+        yield
+    except Exception as error:  # whatever a renderer, a codec or a driver can come up with
+        console.say(f"no video: {error}", style="yellow")
 
 
 def film(
     config: assembly.Config,
-    handed_over: RunPolicy,
-    results: Comparisons,
+    shown: RunPolicy,
+    records: Mapping[str, Record],
     run_dir: Path,
     console: Output,
 ) -> list[Path]:
-    """Film an episode of what is handed over; the list is empty where nothing can be rendered.
+    """Film an episode of what a run hands over; the list is empty without a renderer.
 
-    ``results`` are needed only to choose the episode, not where it has a number.
+    Args:
+        config: The resolved configuration.
+        shown: What the run hands over.
+        records: Of the final evaluation; not needed where the episode has a number.
+        run_dir: Where the video goes, into ``videos``.
+        console: Where to say what the video shows.
+
+    Raises:
+        ValueError: If there is no such scenario or episode.
+        RuntimeError: If this machine cannot render.
     """
-    settings, render = assembly.settings(config), config["render"]
+    settings, how = assembly.settings(config).evaluation, config["render"]
     scenarios = assembly.scenarios(config)
-    node, scenario = config["env"].get("renderer"), render["scenario"] or next(iter(scenarios))
+    node, scenario = config["env"].get("renderer"), how["scenario"] or next(iter(scenarios))
     if not node:
         return []
     if scenario not in scenarios:
         raise ValueError(f"render.scenario: expected one of {sorted(scenarios)}, got {scenario!r}")
-    if handed_over.tested and not handed_over.env_steps:
+    if shown.tested and not shown.env_steps:
         console.say("the run hands over the controller: both halves of the video show it")
-    rescued = results[scenario].handed_over.rescues.tolist() if scenario in results else []
-    count = settings.evaluation.final_episodes
-    episode = choose_episode(render["episode"], count, rescued)
-    out = run_dir / VIDEOS / f"{scenario}_episode_{episode}.{render['format']}"
-    try:
-        film = render_comparison(
-            scenarios[scenario],
-            handed_over.policy,
-            assembly.build(node),
-            first_seed(Stream.FINAL, settings.evaluation.seed) + episode,
-            out,
-            render,
-        )
-    except RuntimeError as error:
-        console.say(f"no video: {error}", style="yellow")
-        return []
-    return [film]
+    numbers = rescued(handed_over(records[scenario])) if scenario in records else []
+    episode = choose_episode(how["episode"], settings.final_episodes, numbers)
+    out = run_dir / VIDEOS / f"{scenario}_episode_{episode}.{how['format']}"
+    seed = first_seed(Stream.FINAL, settings.seed) + episode
+    renderer = assembly.build(node)
+    return [render_comparison(scenarios[scenario], shown.policy, renderer, seed, out, how)]

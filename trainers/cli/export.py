@@ -9,8 +9,9 @@ from typing import Any
 from ..configuration import build as assembly
 from ..console import Output
 from ..export.folder import export_policy, require_tools
-from ..pretrained import TrainedRun, best_run, trained_run
+from ..pretrained import TrainedRun, best_run
 from ..storage.run_files import EXPORT, RESULTS, VERSIONS
+from .evaluate import load
 
 __all__ = ["export"]
 
@@ -19,12 +20,9 @@ def export(config: assembly.Config, run_dir: Path, console: Output) -> None:
     """Write the policy of a run, or of the best seed, with everything around it."""
     require_tools()
     run, folder = best_run(run_dir), run_dir / EXPORT
-    config = {**config, "trainer": {**config["trainer"], "num_seeds": 1}}
-    assembly.check(config)
-    trained = trained_run(config, run)
+    trained = load(config, run, console)
     handed_over = trained.handed_over
-    console.say(f"loaded {trained.checkpoint}")
-    if handed_over.tested and not handed_over.env_steps:
+    if trained.checkpoint and handed_over.tested and not handed_over.env_steps:
         console.say("no policy was accepted: the folder holds the controller alone")
     environment = assembly.environment(config)
     content = export_policy(environment, handed_over.policy, folder, _about(config, run, trained))
@@ -41,7 +39,7 @@ def _about(config: assembly.Config, run: Path, trained: TrainedRun) -> dict[str,
         "trained": {
             "name": config["name"],
             "run": str(run),
-            "checkpoint": trained.checkpoint.name,
+            "checkpoint": trained.checkpoint and trained.checkpoint.name,
             "accepted_env_steps": trained.handed_over.env_steps
             if trained.handed_over.tested
             else None,

@@ -10,6 +10,7 @@ from pathlib import Path
 import yaml
 
 from ..configuration import build as assembly
+from ..configuration.schema import Schema
 from ..console import Output
 from ..launch.job import Job, one_seed
 from ..launch.pool import launch, require_all
@@ -21,7 +22,7 @@ from ..storage.checkpoints import saved_note
 from ..storage.files import lock, write_atomically
 from ..storage.run_files import CHECKPOINTS, CONFIG_FILE, REPORT, seed_directories
 from ..storage.same_run import require_same_run
-from .evaluate import film_run
+from .evaluate import film_run, only_said
 
 __all__ = ["train_seeds"]
 
@@ -30,7 +31,7 @@ def train_seeds(config: assembly.Config, run_dir: Path, console: Output, *, resu
     """Train ``trainer.num_seeds`` runs ``seed-<n>`` below ``run_dir``, what is missing of them.
 
     Args:
-        config: The resolved configuration.
+        config: The resolved configuration, checked.
         run_dir: Directory of all seeds.
         console: Where to show the progress.
         resume: Whether the directory may hold runs already.
@@ -40,14 +41,13 @@ def train_seeds(config: assembly.Config, run_dir: Path, console: Output, *, resu
         FileExistsError: If there are runs already, and ``resume`` is false.
         Interrupted: By a signal; the runs have saved themselves.
         RuntimeError: If runs failed; the others are shown.
-        ValueError: If the configuration is wrong, or not the one of the runs that are there.
+        ValueError: If the configuration is not the one of the runs that are there.
     """
     first, count = config["trainer"]["seed"], config["trainer"]["num_seeds"]
     jobs = [
         Job(run_dir / f"seed-{seed}", one_seed(config, seed))
         for seed in range(first, first + count)
     ]
-    assembly.check(jobs[0].config)
     run_dir.mkdir(parents=True, exist_ok=True)
     held = lock(run_dir)
     try:
@@ -61,7 +61,8 @@ def train_seeds(config: assembly.Config, run_dir: Path, console: Output, *, resu
         write_atomically(run_dir / CONFIG_FILE, text)
         console.say(f"training {count} seeds in {run_dir}")
         again = f"rrl train resume={shlex.quote(str(run_dir))}"
-        ending = launch(jobs, config["launcher"], config["workers"], console, again)
+        how = Schema.model_validate(config)
+        ending = launch(jobs, how.launcher, how.workers, console, again)
         done = [job.path for job in jobs if job in ending.done]
         if done:
             _show(config, find_runs(done), run_dir, console)
@@ -83,9 +84,9 @@ def _show(config: assembly.Config, runs: Sequence[Run], run_dir: Path, console: 
             runs,
             key=lambda run: handed_over(run.results[run.followed])["summary"].get("rescues", 0.0),
         )
-        written += film_run(
-            {**most.config, "render": config["render"]}, most.path, run_dir, console
-        )
+        of_it = {**most.config, "render": config["render"]}
+        with only_said(console):
+            written += film_run(of_it, most.path, run_dir, console)
     written.append(write_report(runs, run_dir / REPORT))
     for path in written:
         console.say(f"  {path}")

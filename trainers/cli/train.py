@@ -32,7 +32,7 @@ from ..storage.same_run import require_same_run
 from ..storage.versions import write_versions
 from ..training.progress import Progress
 from ..training.trainer import Trainer
-from .evaluate import film
+from .evaluate import film, only_said
 from .seeds import train_seeds
 
 __all__ = ["train"]
@@ -43,6 +43,7 @@ MEDIA = (".png", *VIDEO_FILES)
 
 def train(config: assembly.Config, run_dir: Path, console: Output, *, resume: bool) -> None:
     """Train one seed here or several in a pool; leave table, curve, video and report."""
+    assembly.check(config)
     if config["trainer"]["num_seeds"] > 1 or seed_directories(run_dir):
         train_seeds(config, run_dir, console, resume=resume)
         return
@@ -92,7 +93,9 @@ def _train(config: assembly.Config, trainer: Trainer, console: Output) -> None:
         curve = learning_curve(group, run_dir / "learning_curve.png")
         written += [curve] if curve else []
     if config["render"]["enabled"]:
-        written += film(config, trainer.acceptance.handed_over, results, run_dir, console)
+        records = {scenario: comparison.record() for scenario, comparison in results.items()}
+        with only_said(console):
+            written += film(config, trainer.acceptance.handed_over, records, run_dir, console)
     _log_results(trainer, shown, [path for path in written if path.suffix in MEDIA])
     write_results(results, run_dir / RESULTS)  # after all that takes long
     written.append(write_report(find_runs([run_dir]), run_dir / REPORT))

@@ -39,6 +39,7 @@ __all__ = [
     "markdown_tables",
     "one_run",
     "quantity_rows",
+    "rescued",
     "success_cells",
     "success_rows",
     "terminal_tables",
@@ -75,6 +76,17 @@ def handed_over(record: Record) -> Record:
         return {k: v for k, v in part.items() if not k.startswith(ACCEPTED)} | accepted
 
     return {name: exchanged(part) for name, part in record.items()}
+
+
+def rescued(record: Record) -> list[int]:
+    """Return the episodes that the controller fails and the policy solves; none if unpaired.
+
+    Of a record from :func:`handed_over` they are those of the policy that the run hands over.
+    """
+    episodes = record["episodes"]
+    pairs = zip(episodes.get("controller_success", ()), episodes.get("success", ()), strict=True)
+    found = [i for i, (alone, helped) in enumerate(pairs) if helped and not alone]
+    return found if is_frozen(record) else []
 
 
 def success_rows(results: Results) -> list[list[str]]:
