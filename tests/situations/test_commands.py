@@ -1,13 +1,17 @@
 """Commands as they are typed in a hurry: side by side, swept, in a project with files of its own."""
 
+import json
+import sys
 import threading
 from pathlib import Path
 
 import pytest
 import yaml
 
+from rrl.trainers.cli import evaluate, seeds
 from rrl.trainers.cli.compose import OURS, compose_train
-from rrl.trainers.cli.main import main, new_directory
+from rrl.trainers.cli.main import USAGE, main, new_directory
+from rrl.trainers.launch.launchers import spawn
 from situation_commands import SMALL, checkpoints, shell
 
 FEW = " ".join(SMALL)
@@ -110,3 +114,131 @@ def test_no_evaluation_before_the_end(tmp_path, monkeypatch, capsys):
 def test_a_clones_own_files_replace_nothing(monkeypatch):
     monkeypatch.chdir(Path(__file__).parents[2])
     assert compose_train([], None).replaced == ()
+
+
+@pytest.mark.parametrize("command", ["report", "dashboard", "reproduce", "new"])
+def test_every_command_helps(command, capsys):
+    assert main([command, "--help"]) == 0
+    assert USAGE in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("value", ["abc", "null", "2.5"])
+def test_a_wrong_number_of_seeds_is_explained(value, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", *SMALL, f"trainer.num_seeds={value}"]) == 2
+    assert "trainer.num_seeds: " in capsys.readouterr().err
+    assert not list(tmp_path.glob("outputs/*/*"))
+
+
+def test_seeds_have_a_launcher_where_none_is_named(tmp_path, monkeypatch):
+    class Launched(Exception):
+        pass
+
+    def launch(jobs, name, workers, *rest):
+        raise Launched(name, workers)
+
+    monkeypatch.setattr(seeds, "launch", launch)
+    monkeypatch.setenv("RRL_TRACEBACK", "1")
+    left_out = ["~launcher", "~disturbance"]
+    with pytest.raises(Launched, match="'local', None"):
+        main(["train", *SMALL, *left_out, "trainer.num_seeds=2", f"hydra.run.dir={tmp_path}/run"])
+
+
+def test_every_failed_job_of_a_sweep_is_named(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", sys.argv)
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "1")
+    sweep = ["trainer.batch_size=0,-1", f"hydra.sweep.dir='{tmp_path}/sweep'"]
+    assert main(["train", "-m", *SMALL, *sweep]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    for number, (value, line) in enumerate(zip((0, -1), lines, strict=True)):
+        assert f"job {number} (" in line
+        assert f" trainer.batch_size={value} " in line
+        assert "): trainer.batch_size: " in line
+
+
+@pytest.mark.parametrize("text", ["", "- a\n"])
+def test_a_run_without_a_configuration_is_explained(text, tmp_path, capsys):
+    (tmp_path / "config.yaml").write_text(text)
+    assert main(["evaluate", f"run={tmp_path}"]) == 2
+    assert "config.yaml: expected a run's configuration, got" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["evaluate", "render"])
+def test_a_wrong_change_of_a_run_is_explained(command, tmp_path, capsys):
+    config = compose_train(SMALL, None).config
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(config))
+    change = "trainer.evaluation.final_episodes=-1"
+    assert main([command, f"run={tmp_path}", change]) == 2
+    said = capsys.readouterr().err
+    assert f"rrl {command}: trainer.evaluation.final_episodes: " in said
+    assert "pydantic" not in said
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        ("residual_scale=[1.0,1.0]", "residual_scale"),
+        (
+            "disturbance={control_noise: {_target_: rrl.transforms.ControlNoise, mu: [0.1, 0.1]}}",
+            "mu",
+        ),
+    ],
+)
+def test_a_list_of_another_length_than_the_action_leaves_nothing(
+    change, name, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", *SMALL, change, "hydra.run.dir=run"]) == 2
+    captured = capsys.readouterr()
+    assert f"{name}: expected one number or 3" in captured.err
+    assert "to go on" not in captured.out
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_file_of_the_project_hides_no_package_from_a_run(tmp_path):
+    (tmp_path / "yaml.py").write_text("raise RuntimeError('not the package')\n")
+    log = tmp_path / "log.txt"
+    assert spawn(["--help"], log, cwd=str(tmp_path)).wait() == 0, log.read_text()
+
+
+@pytest.fixture(scope="module")
+def controller_run(tmp_path_factory):
+    """A run of the controller alone, whose video fails at its end."""
+    run = tmp_path_factory.mktemp("controller") / "run"
+    nothing = ["arm=controller", "trainer.total_steps=0", f"hydra.run.dir={run}"]
+    film = ["render.enabled=true", "render.episode=rescue", "env.renderer.camera=nonsense"]
+    assert main(["train", *SMALL, *nothing, *film]) == 0
+    return run
+
+
+def test_a_video_that_fails_costs_no_results(controller_run):
+    for name in ("results.json", "report.html"):
+        assert (controller_run / name).stat().st_size > 0
+    assert not (controller_run / "videos").exists()
+
+
+def test_the_controller_alone_is_evaluated_again(controller_run):
+    assert main(["evaluate", f"run={controller_run}"]) == 0
+    (again,) = controller_run.glob("evaluation-*.json")
+    before = json.loads((controller_run / "results.json").read_text())
+    for scenario, record in json.loads(again.read_text()).items():
+        assert before[scenario]["episodes"].items() <= record["episodes"].items()
+
+
+@pytest.mark.parametrize("changed", [False, True])
+def test_a_rescue_is_found_in_the_results_where_they_are_of_this_configuration(
+    controller_run, monkeypatch, capsys, changed
+):
+    results = json.loads((controller_run / "results.json").read_text())
+    for record in results.values():
+        record["episodes"] |= {"controller_success": [False, False], "success": [False, True]}
+    (controller_run / "results.json").write_text(json.dumps(results))
+    evaluated = []
+    monkeypatch.setattr(evaluate, "Evaluator", lambda *a: evaluated.append(a) or 1 / 0)
+    changes = ["trainer.evaluation.seed=7"] if changed else []
+    filmed = ["env.renderer={_target_:situation_envs.black}", "render.format=gif", *changes]
+    status = main(["render", f"run={controller_run}", *filmed])
+    assert bool(evaluated) == changed
+    assert status == (2 if changed else 0), capsys.readouterr().err
+    if not changed:
+        assert list(controller_run.glob("videos/*_episode_1.gif"))

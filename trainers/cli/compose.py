@@ -17,9 +17,10 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.plugins import Plugins
 from hydra.plugins.search_path_plugin import SearchPathPlugin
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from ..storage.run_files import CONFIG_FILE
+from ..storage.run_files import CONFIG_FILE, PLAIN_NAME
 
 __all__ = ["CONFIGS", "Composed", "compose", "compose_train", "plain_name", "through_hydra"]
 
@@ -102,10 +103,10 @@ def through_hydra(
         job: What to do with every configuration.
     """
     _prepare()
-    failures: list[Exception] = []
+    failures: dict[str, Exception] = {}
 
     def task(config: DictConfig) -> None:
-        if any(hasattr(failure, "signal") for failure in failures):
+        if _signals(failures):
             return  # Ctrl-C ends a sweep, not one of its runs
         runtime = HydraConfig.get().runtime
         out = run_dir or Path(runtime.output_dir)
@@ -113,7 +114,7 @@ def through_hydra(
         try:
             job(Composed(_resolved(config), out, True, replaced))
         except Exception as error:
-            failures.append(error)  # past Hydra, which would print a line of its own about it
+            failures[_named_job()] = error  # past Hydra, which would print a line of its own
 
     path, name = (f"pkg://{PACKAGE}", PRIMARY)
     if run_dir is not None:
@@ -122,8 +123,24 @@ def through_hydra(
     sys.argv = ["rrl", *arguments]
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # main() shows what Hydra raises
     hydra.main(version_base="1.3", config_path=path, config_name=name)(task)()
-    for failure in failures:
+    for failure in _signals(failures) or [failures[job] for job in failures if not job]:
         raise failure
+    if failures:
+        text = "\n".join(f"{job}: {error}" for job, error in failures.items())
+        raise RuntimeError(text) from next(iter(failures.values()))
+
+
+def _signals(failures: Mapping[str, Exception]) -> list[Exception]:
+    """Return what was not an error, but asked for from outside."""
+    return [failure for failure in failures.values() if hasattr(failure, "signal")]
+
+
+def _named_job() -> str:
+    """Return number and overrides of a sweep's job; empty without a sweep."""
+    current = HydraConfig.get()
+    if current.mode != RunMode.MULTIRUN:
+        return ""
+    return f"job {current.job.num} ({' '.join(current.overrides.task)})"
 
 
 def plain_name(name: str) -> str:
@@ -132,7 +149,7 @@ def plain_name(name: str) -> str:
     Raises:
         ValueError: If there is anything but letters, digits and ``. _ + = -``, or a dot in front.
     """
-    if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._+=-]*", str(name)):
+    if not re.fullmatch(PLAIN_NAME, str(name)):
         raise ValueError(
             "name: expected letters, digits and . _ + = - for a directory of that name, "
             f"got {name!r}"
@@ -162,8 +179,11 @@ def _resolved(config: DictConfig) -> dict[str, Any]:
 
 def _store(run_dir: Path) -> None:
     """Make a run's configuration known to Hydra; it is resolved, so ``${`` in it is text."""
-    text = (run_dir / CONFIG_FILE).read_text(encoding="utf-8")
-    ConfigStore.instance().store(SAVED, _escaped(yaml.safe_load(text)))
+    path = run_dir / CONFIG_FILE
+    config = yaml.safe_load(path.read_text(encoding="utf-8"))
+    if not isinstance(config, dict):
+        raise ValueError(f"{path}: expected a run's configuration, got {config!r}")
+    ConfigStore.instance().store(SAVED, _escaped(config))
 
 
 def _escaped(node: Any) -> Any:

@@ -65,6 +65,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         try:
             if command not in COMMANDS:
                 raise ValueError(f"command: expected one of {', '.join(COMMANDS)}, got {command!r}")
+            if command in WITHOUT_CONFIGURATION and {"-h", "--help"} & set(rest):
+                print(USAGE)
+                return 0
             _configure_messages()
             WITHOUT_CONFIGURATION.get(command, lambda rest: _configured(command, rest))(rest)
         except KeyboardInterrupt:
@@ -117,20 +120,33 @@ def _configured(command: str, arguments: list[str]) -> None:
 
 def _split_run(command: str, arguments: list[str]) -> tuple[Path | None, list[str]]:
     """Take ``resume=`` or ``run=`` out of the arguments."""
-    key = "resume=" if command == "train" else "run="
-    named = [a.removeprefix(key) for a in arguments if a.startswith(key)]
-    rest = [a for a in arguments if not a.startswith(key)]
+    key = "resume" if command == "train" else "run"
+    named, rest = _split(arguments, (key,))
     if command != "train" and not named and not any(a.startswith("-") for a in rest):
         raise ValueError(f"run: expected run=DIRECTORY of a training run, got {rest}")
     if not named:
         return None, rest
-    run_dir = as_path(named[-1])
+    run_dir = as_path(named[key])
     if not (run_dir / CONFIG_FILE).is_file():
         raise FileNotFoundError(
-            f"{key}{named[-1]}: expected the directory of a training run, "
+            f"{key}={named[key]}: expected the directory of a training run, "
             f"got no {CONFIG_FILE} in {run_dir}"
         )
     return run_dir, rest
+
+
+def _split(
+    arguments: Sequence[str], known: Sequence[str] | None = None
+) -> tuple[dict[str, str], list[str]]:
+    """Take ``key=value`` out of the arguments: of the ``known`` keys, or of any."""
+    named, rest = {}, []
+    for argument in arguments:
+        key, equals, value = argument.partition("=")
+        if equals and (known is None or key in known):
+            named[key] = value
+        else:
+            rest.append(argument)
+    return named, rest
 
 
 def _perform(command: str, composed: Composed, *, resume: bool) -> None:
@@ -173,23 +189,22 @@ def _report(arguments: list[str]) -> None:
     from ..report.report import write_report
     from ..report.runs import find_runs
 
-    chosen = [a.removeprefix("out=") for a in arguments if a.startswith("out=")]
-    named = [as_path(a) for a in arguments if not a.startswith("out=")]
+    chosen, rest = _split(arguments, ("out",))
+    named = [as_path(argument) for argument in rest]
     if not named or any("=" in path.name and not path.exists() for path in named):
         raise ValueError(
             f"runs: expected their directories, rrl report RUN... [out=FILE], got {arguments}"
         )
     folder = named[0] if len(named) == 1 and (named[0] / CONFIG_FILE).is_file() else Path.cwd()
-    out = as_path(chosen[-1]) if chosen else folder / REPORT
+    out = as_path(chosen["out"]) if chosen else folder / REPORT
     Output().say(f"  {write_report(find_runs(named), out)}")
 
 
 def _dashboard(arguments: list[str]) -> None:
     from ..report.dashboard import build
 
-    named = dict(a.split("=", 1) for a in arguments if "=" in a)
-    known = named.keys() <= {"entity", "project"} and len(named) == len(arguments)
-    if "entity" not in named or not known:
+    named, rest = _split(arguments, ("entity", "project"))
+    if "entity" not in named or rest:
         raise ValueError(
             "entity: expected your W&B user or team, rrl dashboard entity=USER [project=rrl], "
             f"got {arguments}"
@@ -201,10 +216,9 @@ def _reproduce(arguments: list[str]) -> None:
     from ..experiments.reproduce import reproduce
     from .compose import CONFIGS, OURS, compose
 
-    names = [a for a in arguments if "=" not in a]
-    given = [a.partition("=") for a in arguments if "=" in a]
+    given, names = _split(arguments)
     paths = ("out", "data")
-    changes = {k: value if k in paths else yaml.safe_load(value) for k, _, value in given}
+    changes = {k: value if k in paths else yaml.safe_load(value) for k, value in given.items()}
     folders = [folder for folder in (Path.cwd() / CONFIGS, OURS) if folder.is_dir()]
     again = shlex.join(["rrl", "reproduce", *arguments])
     reproduce(names, changes, compose, folders, Output(), again)
