@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from ..console import Output
-from ..evaluation.entries import CONTROLLER
 from ..launch.launchers import spawn
 from ..report.runs import Run
-from ..report.tables import handed_over
+from ..report.tables import handed_over, rescued
 from ..storage.run_files import CHECKPOINTS
 from .outcomes import Finding, Findings
 
@@ -34,8 +32,8 @@ def rescue_video(findings: Findings, console: Output) -> Path | None:
         for run in outcome.runs
         if run.config["env"].get("renderer")
     ]
-    run, rescued = _most_rescued(runs) if runs else (None, [])
-    return _rendered(run, rescued[0], console) if run and rescued else None
+    run, episodes = _most_rescued(runs) if runs else (None, [])
+    return _rendered(run, episodes[0], console) if run and episodes else None
 
 
 def task_videos(finding: Finding, console: Output) -> list[Video]:
@@ -43,8 +41,8 @@ def task_videos(finding: Finding, console: Output) -> list[Video]:
     videos = []
     for outcome in finding.outcomes:
         if outcome.point.config["env"].get("renderer"):
-            run, rescued = _most_rescued(outcome.runs)
-            episode = next(iter(rescued), 0)
+            run, episodes = _most_rescued(outcome.runs)
+            episode = next(iter(episodes), 0)
             if video := _rendered(run, episode, console):
                 caption = f"{outcome.point.label}: seed {run.seed}, episode {episode}."
                 videos.append((video, caption))
@@ -53,14 +51,9 @@ def task_videos(finding: Finding, console: Output) -> list[Video]:
 
 def _most_rescued(runs: Sequence[Run]) -> tuple[Run, list[int]]:
     """Return the run that rescues the most final episodes, and these."""
-    found = {run: _rescued(handed_over(run.results[run.followed])["episodes"]) for run in runs}
+    found = {run: rescued(handed_over(run.results[run.followed])) for run in runs}
     run = max(found, key=lambda run: len(found[run]))
     return run, found[run]
-
-
-def _rescued(episodes: Mapping[str, Sequence[Any]]) -> list[int]:
-    pairs = zip(episodes.get(f"{CONTROLLER}success", ()), episodes.get("success", ()), strict=True)
-    return [i for i, (alone, helped) in enumerate(pairs) if helped and not alone]
 
 
 def _rendered(run: Run, episode: int, console: Output) -> Path | None:
