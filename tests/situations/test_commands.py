@@ -156,11 +156,18 @@ def test_every_failed_job_of_a_sweep_is_named(tmp_path, monkeypatch, capsys):
         assert "): trainer.batch_size: " in line
 
 
-@pytest.mark.parametrize("text", ["", "- a\n"])
-def test_a_run_without_a_configuration_is_explained(text, tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "config.yaml: expected a run's configuration, got None"),
+        ("- a\n", "config.yaml: expected a run's configuration, got ['a']"),
+        ("a: [", 'config.yaml", line 1'),
+    ],
+)
+def test_a_run_without_a_configuration_is_explained(text, message, tmp_path, capsys):
     (tmp_path / "config.yaml").write_text(text)
     assert main(["evaluate", f"run={tmp_path}"]) == 2
-    assert "config.yaml: expected a run's configuration, got" in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["evaluate", "render"])

@@ -180,7 +180,8 @@ def _resolved(config: DictConfig) -> dict[str, Any]:
 def _store(run_dir: Path) -> None:
     """Make a run's configuration known to Hydra; it is resolved, so ``${`` in it is text."""
     path = run_dir / CONFIG_FILE
-    config = yaml.safe_load(path.read_text(encoding="utf-8"))
+    with path.open(encoding="utf-8") as file:  # an error of YAML names it
+        config = yaml.safe_load(file)
     if not isinstance(config, dict):
         raise ValueError(f"{path}: expected a run's configuration, got {config!r}")
     ConfigStore.instance().store(SAVED, _escaped(config))
