@@ -100,9 +100,7 @@ def test_as_a_controller_it_acts_as_it_did(alone, observed):
 
 
 def test_the_recorded_sequence_repeats_the_episode_in_its_own_environment(alone):
-    config = resolve(
-        "env=insertion-sim", "controller=replay", f"controller.run='{alone}'", "arm=controller"
-    )
+    config = resolve("env=insertion-sim", "controller=replay", f"controller.run='{alone}'")
     assert not checks.problems(config)
     actions = replay_controller(str(alone)).actions
     assert actions.shape == (50, 3)
