@@ -8,8 +8,9 @@ from collections.abc import Mapping
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
-from ..environment import EnvironmentFactory, ResumableEnv
+from ..environment import EnvironmentFactory
 from ..requests import Requests
+from ..resumable_env import ResumableEnv
 from ..seeds import Stream, first_seed
 from ..settings import EvaluationSettings
 from .episodes import Comparison, Episodes

@@ -22,9 +22,9 @@ from rrl.keys import ACTION, DIVERGED, METRICS, REWARD, SAFETY, SUCCESS
 from rrl.robot import RobotFault
 from rrl.slot_random import seed_env
 
-from ..environment import ResumableEnv
 from ..metric import Metric
 from ..requests import stand_still
+from ..resumable_env import ResumableEnv
 from .episodes import Episodes
 
 __all__ = ["isolated_generators", "rollout", "run_episodes", "whole", "zero_residual"]

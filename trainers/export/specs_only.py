@@ -13,7 +13,8 @@ from torchrl.envs.transforms import Transform
 
 from rrl.transforms.base import RandomTransform
 
-from ..environment import EnvironmentFactory, ResumableEnv
+from ..environment import EnvironmentFactory
+from ..resumable_env import ResumableEnv
 
 __all__ = ["SpecsOnly", "chain_on"]
 

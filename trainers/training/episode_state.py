@@ -16,8 +16,8 @@ from torchrl.envs import EnvBase, TransformedEnv
 from rrl.keys import ACTION
 from rrl.slot_random import seed_env
 
-from ..environment import ResumableEnv
 from ..requests import has_content
+from ..resumable_env import ResumableEnv
 from ..storage.plain_state import from_entries, to_entries
 
 __all__ = ["EpisodeInProgress", "goes_on_from_its_state"]

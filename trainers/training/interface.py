@@ -16,7 +16,8 @@ from rrl.keys import ACTION, METRICS, SO_FAR
 from rrl.slot_random import seed_env
 from rrl.transforms import EpisodeValue, FiniteObservation
 
-from ..environment import EnvironmentFactory, ResumableEnv
+from ..environment import EnvironmentFactory
+from ..resumable_env import ResumableEnv
 from ..seeds import Stream, first_seed
 from ..settings import TrainerSettings
 from ..storage.replay_store import as_stored

@@ -13,8 +13,9 @@ from pathlib import Path
 
 from rrl.pace import Pace, prioritize
 
-from ...environment import EnvironmentFactory, ResumableEnv
+from ...environment import EnvironmentFactory
 from ...requests import stand_still, stop_of
+from ...resumable_env import ResumableEnv
 from ...settings import TrainerSettings
 from ...storage.files import lock
 from ...storage.transition_log import FOLDER as TRANSITIONS

@@ -17,8 +17,8 @@ from rrl.pace import Pace
 from rrl.robot import RobotFault
 from rrl.slot_random import seed_env
 
-from ...environment import ResumableEnv
 from ...requests import Requests, stand_still
+from ...resumable_env import ResumableEnv
 from ...settings import TrainerSettings
 from ...storage.transition_log import FOLDER, TransitionLog
 from ..collection_metrics import Authority

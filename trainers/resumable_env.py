@@ -1,0 +1,98 @@
+"""An environment at work: a person may pause, judge and stop it, and it goes on where it was."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from tensordict import TensorDictBase
+from torchrl.envs import TransformedEnv
+
+from .requests import Requests
+from .worker_errors import WorkerErrors
+
+__all__ = ["ResumableEnv"]
+
+
+class ResumableEnv(TransformedEnv):
+    """A transformed environment that knows what the policy sees next, and can begin with it.
+
+    Attributes:
+        next_input: Root entries after the last reset or step, resets of ended episodes included.
+    """
+
+    next_input: TensorDictBase
+    worker_errors: WorkerErrors | None = None
+    requests: Requests | None = None
+    _repeats = True
+    is_cut_short: bool = False
+    """Whether a pause has stopped the robot in the middle of the last episode."""
+
+    def listen_to(self, requests: Requests, *, repeats: bool = True) -> None:
+        """Do what a person asks for; ``repeats`` says whether a start may be repeated."""
+        self.__dict__["requests"], self.__dict__["_repeats"] = requests, repeats
+
+    def lap(self) -> dict[str, float]:
+        """Return the seconds of steps, ``robot``, and of resets since the last time."""
+        seconds: dict[str, float] = self.__dict__.pop("_seconds", {})
+        return seconds
+
+    @contextmanager
+    def _timed(self, part: str) -> Iterator[None]:
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            seconds = self.__dict__.setdefault("_seconds", {"robot": 0.0, "reset": 0.0})
+            seconds[part] += time.perf_counter() - start
+
+    def begin_with(self, entries: TensorDictBase) -> None:
+        """Have the next reset return these entries."""
+        self._begin = entries
+
+    def reset(self, tensordict: TensorDictBase | None = None, **arguments: Any) -> TensorDictBase:
+        """Reset the environment, or return what :meth:`begin_with` was given."""
+        if self.requests is not None:
+            self.requests.before_reset(self.base_env, self._repeats)
+        self.__dict__["is_cut_short"] = False
+        with self._timed("reset"), self._explaining():
+            self.next_input = super().reset(tensordict, **arguments)
+        begin: TensorDictBase | None = self.__dict__.pop("_begin", None)
+        if begin is not None:
+            self.next_input = begin
+        return self.next_input
+
+    def step_and_maybe_reset(
+        self, tensordict: TensorDictBase
+    ) -> tuple[TensorDictBase, TensorDictBase]:
+        """Step, and reset what has ended."""
+        with self._explaining():
+            out, self.next_input = super().step_and_maybe_reset(tensordict)
+        return out, self.next_input
+
+    def step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Step, once a pause is over; a person's judgement may end the episode.
+
+        A pause stops a robot, and the step ends its episode.
+        """
+        if self.requests is not None:
+            self.__dict__["is_cut_short"] = self.requests.before_step(self.base_env)
+        with self._timed("robot"), self._explaining():
+            out = super().step(tensordict)
+        if self.requests is not None:
+            self.requests.judge(out["next"])
+            if self.is_cut_short:
+                self.requests.cut(out["next"])
+        return out
+
+    @contextmanager
+    def _explaining(self) -> Iterator[None]:
+        try:
+            yield
+        except RuntimeError as error:
+            errors = self.__dict__.get("worker_errors")
+            if errors is None or not str(error).startswith("Cannot proceed"):
+                raise
+            raise errors.explained(error) from error
