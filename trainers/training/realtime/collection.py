@@ -246,7 +246,7 @@ class RealTime(Collection):
     def _start(self) -> None:
         self._hand_over.clear()
         self._hand_over.write("recipe", self._recipe)
-        paths = os.pathsep.join(filter(None, sys.path))
+        paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)
         with (self._hand_over.folder / "log.txt").open("ab") as messages:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", __package__, str(self._hand_over.folder), str(os.getpid())],
@@ -254,7 +254,8 @@ class RealTime(Collection):
                 stdout=messages,
                 stderr=messages,
                 start_new_session=True,  # a Ctrl-C in the terminal is for the learner
-                env={**os.environ, "PYTHONPATH": paths},
+                # It finds what this process finds; -m alone would put the working directory first.
+                env={**os.environ, "PYTHONPATH": paths, "PYTHONSAFEPATH": "1"},
             )
         log.info(
             "process %d drives the environment, and goes on if this one is killed; "
