@@ -2,6 +2,7 @@
 
 import csv
 import json
+import sys
 from functools import partial
 
 import pytest
@@ -26,6 +27,7 @@ def project(tmp_path, monkeypatch):
     write_project(tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "point", raising=False)  # another test's project has one too
     return tmp_path
 
 
