@@ -45,7 +45,7 @@ def final_rows(experiment: Experiment, finding: Finding) -> Table:
     """Return final return and success of every arm at every setting, over seeds."""
     setting = _setting(experiment)
     header = ["arm", *setting, "seeds"]
-    for entry in ("return", "success [%]"):
+    for entry in ("return", "success"):
         header += [f"{entry}: mean [95 % CI]", f"{entry}: IQM [bootstrap 95 %]"]
         header += [f"controller's {entry}"]
     return header, [_final_row(outcome, bool(setting)) for outcome in finding.outcomes]
@@ -54,7 +54,7 @@ def final_rows(experiment: Experiment, finding: Finding) -> Table:
 def followed_rows(experiment: Experiment, finding: Finding) -> Table:
     """Return the successes of every arm at the steps that the experiment names, over seeds."""
     setting = _setting(experiment)
-    at = [f"success after {steps} steps [%]" for steps in experiment.evaluated_at]
+    at = [f"success after {steps} steps" for steps in experiment.evaluated_at]
     return ["arm", *setting, *at], [
         [*_arm(outcome, bool(setting)), *_followed(outcome, experiment.evaluated_at)]
         for outcome in finding.outcomes
@@ -128,13 +128,13 @@ def _success_row(outcome: Outcome, scenario: str, with_setting: bool) -> list[st
 
 def _final_row(outcome: Outcome, with_setting: bool) -> list[str]:
     cells = [*_arm(outcome, with_setting), str(len(outcome.runs))]
-    for entry, unit in (("return", 1.0), ("success", 100.0)):
+    for entry, unit, form in (("return", 1.0, "{:.2f}"), ("success", 100.0, "{:.1f} %")):
         if not outcome.knows(entry):
             return [*cells, "", "", ""]
         values, controller = outcome.final(entry), outcome.final(f"controller_{entry}")
         cells.append(with_interval(values.mean(), interval_of(outcome, entry), unit))
         cells.append(_iqm([values], unit))
-        cells.append("none" if outcome.acts_alone else f"{controller.mean() * unit:.2f}")
+        cells.append("none" if outcome.acts_alone else form.format(controller.mean() * unit))
     return cells
 
 

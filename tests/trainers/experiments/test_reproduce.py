@@ -72,7 +72,7 @@ def test_a_failed_run_is_named_and_tried_again_while_the_others_are_kept(project
     page = report.read_text()
     assert "A point that drifts" in page
     assert "chain-from-it-" in page
-    assert "success after 100 steps [%]" in page and "success after 200 steps [%]" in page
+    assert "success after 100 steps" in page and "success after 200 steps" in page
     assert "<td>still</td>" in page  # several scenarios, a row each
 
     _, said = run("chain")
