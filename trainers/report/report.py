@@ -65,6 +65,8 @@ def _overview(page: Page, groups: Sequence[Group]) -> None:
 def _description(group: Group) -> list[str]:
     config, total = group.config, group.config["trainer"]["total_steps"]
     done = list(dict.fromkeys(run.env_steps for run in group.runs))
+    several = len(group.runs) > 1
+    folders = dict.fromkeys(run.path.parent if several else run.path for run in group.runs)
     disturbances = [name for name, node in (config.get("disturbance") or {}).items() if node]
     return [
         group.label,
@@ -74,7 +76,7 @@ def _description(group: Group) -> list[str]:
         ", ".join(disturbances) or "none",
         ", ".join(str(run.seed) for run in group.runs),
         str(total) if done == [total] else f"{', '.join(map(str, done))} of {total}",
-        ", ".join(str(run.path) for run in group.runs),
+        ", ".join(map(str, folders)),
     ]
 
 
