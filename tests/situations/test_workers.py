@@ -60,8 +60,7 @@ class Unplugged(Failing):
         return out
 
     def _reset(self, tensordict=None, **kwargs):
-        if self._steps >= self._at and self._marker.exists():
-            self._marker.unlink()
+        if self._steps >= self._at and self._first():
             raise ConnectionError("no robot answers")
         return super()._reset(tensordict, **kwargs)
 
