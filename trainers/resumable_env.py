@@ -15,6 +15,9 @@ from .worker_errors import WorkerErrors
 
 __all__ = ["ResumableEnv"]
 
+DEAD = "Cannot proceed", "At least one process failed"
+"""How TorchRL begins to say that a worker has died: while it waits for it, or before it asks it."""
+
 
 class ResumableEnv(TransformedEnv):
     """A transformed environment that knows what the policy sees next, and can begin with it.
@@ -93,6 +96,6 @@ class ResumableEnv(TransformedEnv):
             yield
         except RuntimeError as error:
             errors = self.__dict__.get("worker_errors")
-            if errors is None or not str(error).startswith("Cannot proceed"):
+            if errors is None or not str(error).startswith(DEAD):
                 raise
             raise errors.explained(error) from error
