@@ -49,7 +49,7 @@ def served(robot, address):
     running = partial(serve, robot, address, tick=lambda: 0.01, running=lambda: not over.is_set())
     server = threading.Thread(target=running)
     server.start()
-    client = RemoteRobot(address, patience=1.0, connect_patience=5.0)
+    client = RemoteRobot(address, patience=10.0)
     try:
         yield client
     finally:
@@ -98,9 +98,9 @@ def test_whatever_a_driver_raises_refuses_the_call():
         with pytest.raises(RobotFault, match="command refused: OSError: the cable is out"):
             client.command(np.zeros(1))
         with pytest.raises(RobotFault, match="command refused: KeyError: 'action'"):
-            client.ask("command", 1.0)
+            client.ask("command", 10.0)
         with pytest.raises(RobotFault, match="dance refused: expected observe, command"):
-            client.ask("dance", 1.0)
+            client.ask("dance", 10.0)
         client.observe()
     assert robot.calls == ["command", "observe", "stop", "close"]
 
