@@ -82,16 +82,22 @@ def test_a_person_judges_pauses_and_stops(make):
             assert time.monotonic() < end
             time.sleep(0.02)
 
+    def ends_an_episode():
+        trainer.person.succeeded()  # between two episodes it ends none
+        lengths = trainer.replay[:]["next", "done"].flatten().nonzero().flatten().diff()
+        return (lengths < 20).any()
+
+    def stands_still(seconds):
+        before = steps()
+        time.sleep(seconds)
+        return steps() == before
+
     wait_for(lambda: trainer.env_steps >= 20)
-    trainer.person.succeeded()
-    wait_for(lambda: trainer.replay[:]["next", "done"].sum() >= 3)
-    lengths = trainer.replay[:]["next", "done"].flatten().nonzero().flatten().diff()
-    assert lengths.min() < 20  # an episode was ended
+    wait_for(ends_an_episode)
     trainer.person.pause()
-    time.sleep(0.5)
+    wait_for(lambda: stands_still(0.5))
+    assert stands_still(1.0)
     here = steps()
-    time.sleep(1.0)
-    assert steps() == here
     trainer.person.go_on()
     wait_for(lambda: steps() > here)
     trainer.person.pause()

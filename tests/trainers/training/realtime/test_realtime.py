@@ -9,7 +9,7 @@ import pytest
 import torch
 from torchrl.data import Unbounded
 
-from realtime_runs import PERIOD, Paced, acted, learn, learn_and_be_killed
+from realtime_runs import PERIOD, Paced, acted, learn, learn_and_be_killed, wait_for
 from rrl.trainers.settings import CheckpointSettings, EvaluationSettings
 from rrl.trainers.training.realtime.hand_over import HandOver
 from runs import run
@@ -95,8 +95,7 @@ def test_killed_learners_lose_nothing_and_the_environment_goes_on(make, tmp_path
         learn_and_be_killed(make, until, **changes)
         before = len(acted(run_dir))
         assert HandOver(run_dir / "realtime").is_alive() or before == 240
-        time.sleep(0.2)
-        assert len(acted(run_dir)) > before or before == 240
+        wait_for(lambda n=before: len(acted(run_dir)) > n or n == 240)
     trainer = learn(make, **changes)
     assert trainer.env_steps == 240
     assert_each_once(trainer)

@@ -107,12 +107,12 @@ def test_a_process_that_follows_another_explores_as_that_one_would(make):
     trainer = make(total_steps=200, exploration=Counting, **SLOW)
     one_round = trainer._round
 
-    def kill_at_100():
-        if trainer.env_steps == 100:
+    def kill_at_60():
+        if trainer.env_steps == 60:
             kill_the_process(trainer)
         one_round()
 
-    trainer._round = kill_at_100
+    trainer._round = kill_at_60
     with trainer, pytest.raises(RuntimeError, match="the acting process died"):
         trainer.run()
     second = make(total_steps=200, exploration=Counting, **SLOW)
@@ -129,11 +129,15 @@ def test_a_learner_that_died_in_a_pause_leaves_none_behind(make, tmp_path, caplo
         trainer.person.pause()
         threading.Event().wait(0.5)
 
-    learn_and_be_killed(make, 60, pause, **SLOW)
-    assert len(acted(tmp_path / "run")) < 120
-    threading.Thread(target=learn, args=(make,), kwargs=SLOW, daemon=True).start()
-    wait_for(lambda: len(acted(tmp_path / "run")) == 120)
+    changes = {**SLOW, "total_steps": 240}  # a busy learner pauses late
+    learn_and_be_killed(make, 60, pause, **changes)
+    assert len(acted(tmp_path / "run")) < 240
+    learner = threading.Thread(target=learn, args=(make,), kwargs=changes, daemon=True)
+    learner.start()
+    wait_for(lambda: len(acted(tmp_path / "run")) == 240)
     wait_for(lambda: not HandOver(tmp_path / "run/realtime").is_alive())
+    learner.join(60)
+    assert not learner.is_alive()  # nor does it disturb the next test
     assert "was paused when the learner before ended: it goes on" in caplog.text
 
 
@@ -149,9 +153,10 @@ def test_a_robot_that_is_being_reset_is_stopped_when_its_process_is_told_to_end(
     wait_for((tmp_path / "resetting").exists)
     (tmp_path / "stopped").unlink(missing_ok=True)
     os.kill(acting_pid(trainer.run_dir), signal.SIGTERM)
-    wait_for(lambda: not HandOver(trainer.run_dir / "realtime").is_alive(), 5.0)
+    wait_for(lambda: not HandOver(trainer.run_dir / "realtime").is_alive(), 30.0)
     assert (tmp_path / "stopped").exists()
-    thread.join(10)
+    thread.join(60)
+    assert not thread.is_alive()
     trainer.close()
 
 
@@ -208,7 +213,7 @@ def test_the_process_does_not_outlive_a_learner_that_is_stopped_at_once(make, tm
     child.start()
     child.join()
     assert child.exitcode == -signal.SIGINT
-    wait_for(lambda: not HandOver(tmp_path / "run/realtime").is_alive(), 5.0)
+    wait_for(lambda: not HandOver(tmp_path / "run/realtime").is_alive(), 30.0)
 
 
 def test_a_trainer_that_cannot_be_made_leaves_no_process(make, tmp_path):
@@ -252,12 +257,12 @@ def test_a_damaged_record_is_replaced_by_its_neighbor(make, tmp_path):
 
 @pytest.mark.slow
 def test_a_longer_run_goes_on_and_no_episode_comes_again(make, tmp_path):
-    learn_and_be_killed(make, 40, kill_the_process, total_steps=160, **SLOW)
-    learn_and_be_killed(make, 80, total_steps=160, **SLOW)
+    learn_and_be_killed(make, 40, kill_the_process, total_steps=240, **SLOW)
+    learn_and_be_killed(make, 80, total_steps=240, **SLOW)
     assert HandOver(tmp_path / "run/realtime").is_alive()
-    trainer = learn(make, total_steps=240, **SLOW)
+    trainer = learn(make, total_steps=320, **SLOW)
     data = acted(tmp_path / "run")
-    assert trainer.env_steps == len(data) == 240
+    assert trainer.env_steps == len(data) == 320
     assert torch.equal(trainer.replay[:]["action"], data["action"])
     starts = data["goal"][data["timing", "first"].flatten()]
-    assert len(starts.unique(dim=0)) == len(starts) >= 12
+    assert len(starts.unique(dim=0)) == len(starts) >= 16
