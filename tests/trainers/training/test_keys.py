@@ -32,7 +32,7 @@ from toy_envs import RememberingPointMass
 class Slow(RememberingPointMass):
     steps = 0
     def _step(self, tensordict):
-        time.sleep(0.02)
+        time.sleep(0.5 if sys.argv[2] == "takes its time" else 0.02)
         Slow.steps += 1
         if sys.argv[2] == "breaks" and Slow.steps == 60:
             raise RuntimeError("the arm has come off")
@@ -168,16 +168,17 @@ def test_keys_pause_judge_and_stop(terminal):
     ("how", "signals", "status"),
     [
         ("works", [signal.SIGTERM], 128 + signal.SIGTERM),
-        ("works", [signal.SIGTERM, signal.SIGTERM], -signal.SIGTERM),
+        ("takes its time", [signal.SIGTERM, signal.SIGTERM], -signal.SIGTERM),
         ("works", [signal.SIGINT], 128 + signal.SIGINT),
         ("breaks", [], 1),
     ],
 )
 def test_whatever_ends_it_the_terminal_is_put_back(terminal, how, signals, status):
     opened = terminal(how)
-    for number in signals:
+    for n, number in enumerate(signals):
+        if n:
+            opened.wait_for("finishing this round")  # it has heard the one before
         opened.process.send_signal(number)
-        time.sleep(0.1)
     assert opened.ended() == status
     assert termios.tcgetattr(opened.theirs) == opened.before
 
