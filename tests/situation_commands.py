@@ -57,8 +57,10 @@ def start(*arguments, cwd, **options):
 def wait_for_training(folder, process):
     """Wait until a run below a folder has logged a round of training; returns its directory."""
     while process.poll() is None:
-        for path in Path(folder).rglob("metrics.csv"):
-            if "train/reward" in path.read_text():
+        # Not by rglob, which minds that a folder on its way, as of a checkpoint, goes away meanwhile.
+        for name, _, files in os.walk(folder):
+            path = Path(name) / "metrics.csv"
+            if path.name in files and "train/reward" in path.read_text():
                 return path.parent
         time.sleep(0.1)
     raise AssertionError((process.communicate(), list(Path(folder).rglob("*"))))

@@ -122,11 +122,9 @@ def test_the_terminal_goes_away(tmp_path, monkeypatch, unbuffered):
     monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
     process, terminal = on_a_terminal(["train", *LONG, "hydra.run.dir=run"], tmp_path)
     try:
-        seen = b""
-        while b"env" not in seen and not (tmp_path / "run/metrics.csv").exists():
-            seen += os.read(terminal, 65536)
         run = tmp_path / "run"
-        while "train/reward" not in (run / "metrics.csv").read_text():
+        metrics = run / "metrics.csv"
+        while not metrics.exists() or "train/reward" not in metrics.read_text():
             os.read(terminal, 65536)
     finally:
         os.close(terminal)
