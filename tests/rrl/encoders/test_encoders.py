@@ -109,6 +109,7 @@ def test_training_images_are_shifted_and_numbers_are_not(entry):
 
 def test_a_shift_is_by_whole_pixels_the_border_fills_the_gap_and_all_are_equally_likely():
     images = pictures(2000).movedim(-1, -3).contiguous()[:1].expand(2000, 3, 16, 12)
+    torch.manual_seed(0)
     moved = random_shift(images, 1)
     padded = nn.functional.pad(images[:1].float(), [1] * 4, mode="replicate").to(torch.uint8)
     crops = [padded[0, :, y : y + 16, x : x + 12] for y in range(3) for x in range(3)]
