@@ -28,7 +28,8 @@ def project(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "point", raising=False)  # another test's project has one too
-    return tmp_path
+    yield tmp_path
+    sys.modules.pop("point", None)  # an example has one too
 
 
 @pytest.fixture
