@@ -1,7 +1,6 @@
 """The report: what runs logged, on one page that opens anywhere."""
 
 import json
-import time
 from dataclasses import replace
 from functools import partial
 
@@ -23,10 +22,8 @@ from rrl.trainers.report.report import write_report
 from rrl.trainers.report.runs import find_runs, group_runs
 
 
-def test_a_page_of_one_group_is_quick_and_holds_it_all(runs):
-    start = time.process_time()  # whatever else the machine does
+def test_a_page_of_one_group_holds_it_all(runs):
     source = write_report(find_runs(runs[:3]), runs[0] / "report.html").read_text()
-    assert time.process_time() - start < 5.0  # it takes 0.3 s
     for heading in (
         "Final evaluation",
         "Learning",
