@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDictBase
-from torch import Tensor
+from torch import Tensor, nn
 
 from rrl.controllers.base import State, StatefulController
 from rrl.keys import BASE_ACTION
@@ -127,6 +127,15 @@ class FunctionController(StatefulController):
         for slot, remembered in zip(self._slots, state["slots"], strict=True):
             _remember(slot, remembered)
         self._fresh = state["fresh"]
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> FunctionController:
+        # The function is called, or copied for a slot, and never changed: a copy may share it. It
+        # may hold what cannot be copied: a simulator, a connection, a lock.
+        if not isinstance(self._function, nn.Module):
+            memo[id(self._function)] = self._function
+        twin = memo[id(self)] = self.__class__.__new__(self.__class__)
+        twin.__dict__.update(copy.deepcopy(self.__dict__, memo))
+        return twin
 
     def _functions(self, batch: torch.Size) -> Sequence[Any]:
         """Return every slot's callable, of an episode that has begun."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import threading
 from functools import partial
 
 import numpy as np
@@ -251,3 +253,35 @@ def test_an_object_that_hides_its_memory_is_refused() -> None:
         TypeError, match=r"function: expected an object with .* got Hidden with __s"
     ):
         FunctionController(Hidden)
+
+
+class Guarded:
+    """Holds what cannot be copied, as a simulator or a connection."""
+
+    def __init__(self):
+        self.lock = threading.Lock()
+
+    def __call__(self, position, goal):
+        with self.lock:
+            return towards(position, goal)
+
+
+@pytest.mark.parametrize("how", [lambda guarded: guarded, lambda guarded: guarded.__call__])
+def test_a_function_that_cannot_be_copied_is_shared_by_copies(how) -> None:
+    controller = FunctionController(how(Guarded()), KEYS)
+    env = TransformedEnv(PointMass(batch_size=[2]), ResidualAction(controller, 0.5))
+    twin = copy.deepcopy(controller)
+    given = state([2])
+    torch.testing.assert_close(twin(given.clone()), controller(given.clone()))
+    env.rollout(3)
+    env.transform.clone()
+
+
+def test_copies_share_no_memory() -> None:
+    controller = FunctionController(Counter(), ["position"])
+    for _ in range(2):
+        controller(TensorDict({"position": torch.zeros(1, 1)}, [1]))
+    twin = copy.deepcopy(controller)
+    for each, count in ((twin, 3), (controller, 3), (twin, 4)):
+        action = each(TensorDict({"position": torch.zeros(1, 1)}, [1]))["base_action"]
+        assert action.tolist() == [[count, 1]]
