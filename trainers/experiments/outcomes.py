@@ -145,7 +145,7 @@ class Finding:
         for point in self.planned:
             count, asked = runs.get(point.name, 0), len(point.seeds)
             if count < asked:
-                few.setdefault(f"{count} of {asked} seeds", []).append(point.label)
+                few.setdefault(f"{count} of {asked} seeds", []).append(f'"{point.label}"')
         return "; ".join(f"{count} of {', '.join(labels)}" for count, labels in sorted(few.items()))
 
     def arm(self, name: str) -> list[Outcome]:

@@ -103,12 +103,12 @@ def test_a_claim_is_not_judged_on_a_part_of_its_runs(outcome):
     found = verdict("1a", whole, replace(part, runs=part.runs[:2]))
     assert (found.word, found.numbers) == (
         "not tested",
-        "finished so far: 2 of 3 seeds of RL alone",
+        'finished so far: 2 of 3 seeds of "RL alone"',
     )
     claim = next(claim for claim in CLAIMS if claim.number == "8")
     planned = (outcome(value=0.1).point, outcome(value=0.2).point)
     (found,) = judge({claim.experiment: Finding("bias-real", (outcome(value=0.1),), planned)})
-    assert "0 of 3 seeds of residual RL, mu = 0.2" in found.numbers
+    assert '0 of 3 seeds of "residual RL, mu = 0.2"' in found.numbers
 
 
 def test_one_seed_says_nothing_of_an_interval_over_seeds(outcome):
