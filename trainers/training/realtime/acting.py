@@ -105,12 +105,12 @@ class Acting:
             if self.requests.paused or self.hand_over.is_wanted():
                 time.sleep(0.01)
                 continue
-            try:
-                with self.hand_over.driving():
+            with self.hand_over.driving():
+                try:
                     back = self._try_episode(back)
-            finally:
-                self._write()
-                self.log.sync()
+                finally:  # whoever has the robot next finds every step before
+                    self._write()
+                    self.log.sync()
             self._take_weights()
             if not back:
                 self._sleep(self.settings.realtime.retry)
