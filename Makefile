@@ -80,4 +80,4 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	touch $@
 
 clean:                              ## remove what the other targets made, but not outputs/
-	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache *.egg-info
+	rm -rf $(VENV) build .pytest_cache .mypy_cache .ruff_cache *.egg-info

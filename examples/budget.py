@@ -16,6 +16,7 @@ def main(run_dir="outputs/budget", budget=0.8, **settings):
     """Train a residual within the budget and return the comparison with the controller alone."""
     environment = EnvironmentFactory(
         base=Point,
+        max_episode_steps=20,
         controller=partial(ProportionalController, position_key="position", gain=2.0),
         inputs=["position", "goal"],
         batching="serial",

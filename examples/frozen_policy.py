@@ -11,7 +11,8 @@ from rrl.trainers import EnvironmentFactory, Trainer, TrainerSettings
 
 def main(run_dir="outputs/frozen_policy", **settings):
     """Train a policy without a controller, then a residual on that policy; return the second comparison."""
-    point = partial(EnvironmentFactory, base=Point, inputs=["position", "goal"], batching="serial")
+    read = ["position", "goal"]
+    point = partial(EnvironmentFactory, Point, inputs=read, batching="serial", max_episode_steps=20)
     alone = point(controller=partial(ZeroController, action_size=2))
     untested = TrainerSettings(**settings | {"acceptance": {"enabled": False}})  # by no controller
     with Trainer(untested, alone, run_dir=f"{run_dir}/alone") as trainer:

@@ -25,6 +25,7 @@ def main(run_dir="outputs/gymnasium_pd", **settings):
         controller=partial(FunctionController, pd),
         inputs=["observation"],
         batching="serial",
+        max_episode_steps=200,
     )
     with Trainer(TrainerSettings(**settings), environment, run_dir=run_dir) as trainer:
         return trainer.run()["training"].summary()

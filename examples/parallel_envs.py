@@ -12,6 +12,7 @@ def main(run_dir="outputs/parallel_envs", **settings):
     """Train a residual on a proportional controller and return the comparison with the controller alone."""
     environment = EnvironmentFactory(
         base=Point,
+        max_episode_steps=20,
         controller=partial(ProportionalController, position_key="position", gain=5.0),
         inputs=["position", "goal"],
         batching="parallel",

@@ -23,7 +23,9 @@ def main(run_dir="outputs/targets_and_deltas", **settings):
     """Train a residual on each kind of action and return the two comparisons with the controller alone."""
     proportional = partial(ProportionalController, position_key="position", gain=5.0)
     go_to_goal = TensorDictModule(lambda goal: goal.clone(), ["goal"], ["base_action"])
-    point = partial(EnvironmentFactory, inputs=["position", "goal"], batching="serial")
+    point = partial(
+        EnvironmentFactory, inputs=["position", "goal"], batching="serial", max_episode_steps=20
+    )
     environments = {
         "deltas": point(base=Point, controller=proportional, residual_scale=1.0),
         "targets": point(
@@ -32,9 +34,8 @@ def main(run_dir="outputs/targets_and_deltas", **settings):
     }
     results = {}
     for name, environment in environments.items():
-        with Trainer(
-            TrainerSettings(**settings), environment, run_dir=f"{run_dir}/{name}"
-        ) as trainer:
+        folder = f"{run_dir}/{name}"
+        with Trainer(TrainerSettings(**settings), environment, run_dir=folder) as trainer:
             results[name] = trainer.run()["training"].summary()
     return results
 

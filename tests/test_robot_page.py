@@ -5,8 +5,8 @@ import shlex
 from pathlib import Path
 
 import pytest
-from plants import an_address, plant
 
+from plants import an_address, plant
 from rrl.trainers.cli.main import main
 
 PAGE = (Path(__file__).parents[1] / "docs/robot.md").read_text()

@@ -13,6 +13,8 @@ from torchrl.envs import EnvBase
 
 from rrl.keys import ACTION, DIVERGED, METRICS, REWARD_TERMS, SAFETY, SUCCESS
 
+from .metric_names import ABOVE, P99
+
 __all__ = ["check_action", "check_factory", "check_number", "check_reported", "make_native"]
 
 FLOATING = (torch.float16, torch.float32, torch.float64)
@@ -104,7 +106,8 @@ def check_reported(spec: Composite, batch_dims: int, declared: Mapping[str, Any]
     """Refuse reserved entries that cannot be reported: each must be one number a slot.
 
     Raises:
-        ValueError: If one is not, or ``declared`` names one that the environment does not write.
+        ValueError: If one is not, has the name of what is derived from another one, or ``declared``
+            names one that the environment does not write.
     """
     present = list(spec.keys())
     leaves = {key: spec[key] for key in (SUCCESS, DIVERGED) if key in present}
@@ -127,6 +130,12 @@ def check_reported(spec: Composite, batch_dims: int, declared: Mapping[str, Any]
                 "each component under its own name, or a norm"
             )
     written = [name.partition("/")[2] for name in leaves if name.startswith(f"{METRICS}/")]
+    endings = (P99, *ABOVE.values())
+    if taken := [name for name in written if name.endswith(endings)]:
+        raise ValueError(
+            f"environment: metrics: expected names without the endings {', '.join(endings)}, which "
+            f"evaluations add, got {', '.join(taken)}"
+        )
     if missing := sorted(set(declared) - set(written)):
         raise ValueError(
             f"environment: metrics: expected names that the environment writes {written}, "

@@ -64,7 +64,8 @@ class EnvironmentFactory:
             for each dimension.
         batching: ``native`` for an environment with a batch size of its own, ``serial`` to run
             copies in turn, ``parallel`` to run each copy in its own process.
-        max_episode_steps: Bound on an episode's length, for evaluation.
+        max_episode_steps: Steps of an episode: bounds those of evaluations, and is what discount,
+            warm-up and the price of the residual are derived from.
         action_history: How many actions ``previous_action`` holds, if the policy reads it.
         symmetries: Mirrors of the task by name, each with a map (:class:`rrl.symmetry.Symmetry`) of
             ``action`` and of every input but ``base_action`` and ``previous_action``, which are

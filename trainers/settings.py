@@ -144,8 +144,8 @@ class TrainerSettings(_Settings):
         num_envs: Environments that the learner collects from.
         device: Where networks and replay buffer lie, such as ``cpu`` or ``cuda``.
         total_steps: Environment steps of the run.
-        warmup_steps: Environment steps before the first update; None: five episodes and 300 steps,
-            but no more than a tenth of the run.
+        warmup_steps: Environment steps before the first update; None: five episodes or 300 steps,
+            whichever is longer, but no more than a tenth of the run.
         controller_steps: Environment steps at the start that are the controller's own, without
             exploration; None: half of the warm-up.
         steps_per_collection: Steps of each environment between two rounds of updates.

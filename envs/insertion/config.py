@@ -195,7 +195,7 @@ PRESETS = {
         yaw_choices=(-20.0, 0.0, 20.0),
         base_height=-0.35,
         chamfer=(0.0055, 0.00825),
-        reward_weights={"displacement": 0.5, "yaw": 0.1},
+        reward_weights={"displacement": 0.1, "yaw": 0.05},
     ),
 }
 """The task's variants by name."""

@@ -71,7 +71,7 @@ class InsertionPixelsEnv(InsertionEnv):
         self.camera = TaskCamera(simulation.models[0], simulation.start, config)
         shape = (self.num_envs, picture_size, picture_size, 3)
         self._pixels = np.zeros(shape, dtype=np.uint8)
-        self._shown = np.full((num_envs, simulation.state.shape[1] + 4), np.nan)
+        self._shown = np.full((self.num_envs, simulation.state.shape[1] + 4), np.nan)
         observation = self.observation_spec.clone()
         observation[PIXELS] = Bounded(0, 255, shape=shape, dtype=torch.uint8)
         self.observation_spec = observation

@@ -144,12 +144,14 @@ def reward_weights(config: InsertionConfig) -> dict[str, float]:
     """Return the weights by the term's name; terms of weight zero are left out.
 
     Raises:
-        ValueError: If the config names a term that does not exist.
+        ValueError: If the config names a term that does not exist, or leaves none.
     """
     unknown = sorted(set(config.reward_weights).difference(REWARD_TERMS))
     if unknown:
         raise ValueError(f"reward_weights: expected names of {list(REWARD_TERMS)}, got {unknown}")
     weights = {name: term.weight for name, term in REWARD_TERMS.items()} | config.reward_weights
+    if not any(weights.values()):
+        raise ValueError(f"reward_weights: expected one above 0 at least, got {weights}")
     return {name: weight for name, weight in weights.items() if weight}
 
 

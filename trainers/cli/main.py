@@ -34,7 +34,8 @@ USAGE = """usage: rrl COMMAND [key=value ...]
   rrl report RUN... [out=FILE]          write one interactive page about runs, side by side
   rrl dashboard entity=USER [project=P] lay out the W&B workspace (extra rrl[dashboard])
   rrl reproduce [NAME ...] [key=value]  make the paper's experiments again, all or those named;
-                                        scale=quick|paper launcher=local|ray workers=N out=FOLDER
+                                        scale=quick|paper launcher=local|ray workers=N
+                                        out=FOLDER data=FOLDER
   rrl new NAME                          make a project with environment, controller, configuration
 
 RUN is a run's directory. Keys and groups: rrl train --help; all of it: rrl train --cfg job.
@@ -218,7 +219,8 @@ def _reproduce(arguments: list[str]) -> None:
 
     given, names = _split(arguments)
     paths = ("out", "data")
-    changes = {k: value if k in paths else yaml.safe_load(value) for k, value in given.items()}
+    plain = {key for key in given if key in paths and given[key] != "null"}
+    changes = {k: value if k in plain else yaml.safe_load(value) for k, value in given.items()}
     folders = [folder for folder in (Path.cwd() / CONFIGS, OURS) if folder.is_dir()]
     again = shlex.join(["rrl", "reproduce", *arguments])
     reproduce(names, changes, compose, folders, Output(), again)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
+from torchrl.data import Composite, Unbounded
 
 from rrl.keys import BASE_ACTION, PREVIOUS_ACTION
 
@@ -69,7 +70,7 @@ def _check_entries(config: Config, built: dict[str, Any]) -> Problems:
             except ValueError as error:
                 yield f"{path}.{error}"
                 return
-    sizes = entries(env["base"])
+    sizes = _sensed(entries(env["base"]), built)
     yield from _check_symmetries(env, groups["inputs"], sizes)
     if sizes is None:
         return
@@ -83,6 +84,25 @@ def _check_entries(config: Config, built: dict[str, Any]) -> Problems:
     for key in getattr(built.get("controller"), "in_keys", ()):
         if isinstance(key, str) and key not in sizes:
             yield f"controller: reads {key!r}, which the environment does not have; it has {known}"
+
+
+def _sensed(sizes: dict[str, int] | None, built: Mapping[str, Any]) -> dict[str, int] | None:
+    """Return the entries' sizes behind the sensing transforms, which may add entries or numbers.
+
+    None where they are unknown: of an environment that does not tell them, or a transform that
+    needs the built one.
+    """
+    sensing = [part for path, part in built.items() if path.startswith("env.sensing.")]
+    if sizes is None or not sensing:
+        return sizes
+    spec = Composite({name: Unbounded((1, size)) for name, size in sizes.items()}, shape=(1,))
+    try:
+        for transform in sensing:
+            spec = transform.transform_observation_spec(spec)
+    except Exception:  # a transform of anybody's; the environment says what is wrong, if it is
+        return None
+    leaves = spec.items(True, True)
+    return {key: leaf.shape[1:].numel() for key, leaf in leaves if isinstance(key, str)}
 
 
 def _check_symmetries(

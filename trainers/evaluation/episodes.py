@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rrl.keys import METRICS, SAFETY
 
 from ..metric import Metric
+from ..metric_names import ABOVE, P99
 from ..storage.files import write_atomically
 from .entries import ACCEPTED, CONTROLLER
 from .statistics import fisher, mcnemar, wilson
@@ -67,9 +68,9 @@ class Episodes:
             out |= {"success": rate, "success_low": low, "success_high": high}
         for name, values in self.metrics.items():
             out[f"{METRICS}/{name}"] = float(values.mean())
-            out[f"{METRICS}/{name}_p99"] = float(np.percentile(values, 99))
+            out[f"{METRICS}/{name}{P99}"] = float(np.percentile(values, 99))
             for kind, bound in self.declared.get(name, Metric()).bounds.items():
-                out[f"{METRICS}/{name}_above_{kind}"] = float((values > bound).mean())
+                out[f"{METRICS}/{name}{ABOVE[kind]}"] = float((values > bound).mean())
         steps = self.lengths.sum()
         for limit, count in self.limited.items():
             out[f"{SAFETY}_{limit}"] = float(count.sum() / steps)

@@ -50,6 +50,7 @@ class Evaluator:
         self._envs: dict[tuple[str, int], ResumableEnv] = {}
         self._controller: dict[tuple[str, Stream, int], Episodes] = {}
         self._frozen: dict[str, bool] = {}
+        self._compared = False  # whether a wrong limit was named
 
     @property
     def followed(self) -> str:
@@ -70,6 +71,7 @@ class Evaluator:
         if key not in self._controller:
             alone = zero_residual(self._env(scenario, episodes))
             self._controller[key] = self.play(alone, *key)
+            self._compare_limit(scenario, self._controller[key])
         return self._controller[key]
 
     def play(
@@ -129,6 +131,21 @@ class Evaluator:
         """Close the environments."""
         while self._envs:
             self._envs.popitem()[1].close()
+
+    def _compare_limit(self, scenario: str, episodes: Episodes) -> None:
+        """Say once if all episodes end together, before the limit that settings derive from."""
+        shortest, longest = int(episodes.lengths.min()), int(episodes.lengths.max())
+        limit = self.scenarios[scenario].max_episode_steps
+        if len(episodes.lengths) > 1 and shortest == longest < limit and not self._compared:
+            self._compared = True
+            log.warning(
+                "max_episode_steps: expected the length of an episode, from which discount, "
+                "warm-up and the price of the residual are derived, got %d; all %d episodes of the "
+                "controller ended after %d steps",
+                limit,
+                len(episodes.lengths),
+                longest,
+            )
 
     def _play(
         self, policy: TensorDictModuleBase, scenario: str, seed: int, episodes: int

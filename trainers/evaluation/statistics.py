@@ -34,6 +34,8 @@ Values: TypeAlias = "Sequence[float] | NDArray[Any]"
 NO_INTERVAL = (float("nan"), float("nan"))
 """What one run says about others."""
 
+CONFIDENCE = 0.95
+"""Probability with which the intervals cover."""
 _MEAN_PRIOR = 0.75
 """Of the mean rate: Beta(0.75, 0.75), between Jeffreys' prior and the uniform one."""
 _SPREAD_PRIOR = 0.2
@@ -41,13 +43,13 @@ _SPREAD_PRIOR = 0.2
 _MEANS, _SPREADS = 400, 40
 
 
-def wilson(successes: int, trials: int, confidence: float = 0.95) -> Interval:
+def wilson(successes: int, trials: int) -> Interval:
     """Return Wilson's score interval of the success rate of one policy."""
-    interval = stats.binomtest(successes, trials).proportion_ci(confidence, method="wilson")
+    interval = stats.binomtest(successes, trials).proportion_ci(CONFIDENCE, method="wilson")
     return float(interval.low), float(interval.high)
 
 
-def success_interval(successes: Sequence[int], episodes: int, confidence: float = 0.95) -> Interval:
+def success_interval(successes: Sequence[int], episodes: int) -> Interval:
     """Return an interval of the mean success rate of runs like these.
 
     The successes of a run are beta-binomial: runs differ, and episodes of one run are alike. The
@@ -59,7 +61,6 @@ def success_interval(successes: Sequence[int], episodes: int, confidence: float 
     Args:
         successes: Solved episodes of each run, ``[S]``.
         episodes: Episodes of each run.
-        confidence: Probability of covering.
 
     Raises:
         ValueError: If a count is not between 0 and ``episodes``, or there is none.
@@ -68,12 +69,12 @@ def success_interval(successes: Sequence[int], episodes: int, confidence: float 
     if not counts or not all(0 <= count <= episodes for count in counts):
         raise ValueError(f"successes: expected counts from 0 to {episodes}, got {counts}")
     if len(counts) == 1:
-        return wilson(counts[0], episodes, confidence)
-    return _beta_binomial(tuple(sorted(counts)), int(episodes), confidence)
+        return wilson(counts[0], episodes)
+    return _beta_binomial(tuple(sorted(counts)), int(episodes))
 
 
 @lru_cache(maxsize=4096)
-def _beta_binomial(counts: tuple[int, ...], episodes: int, confidence: float) -> Interval:
+def _beta_binomial(counts: tuple[int, ...], episodes: int) -> Interval:
     # Means are equally spaced in the arcsine's scale, where Jeffreys' prior is flat.
     mean = np.sin(np.pi / 2 * (np.arange(_MEANS) + 0.5) / _MEANS)[:, None] ** 2  # (M, 1)
     root = (np.arange(_SPREADS) + 0.5) / _SPREADS  # (R,), of the correlation within a run
@@ -88,7 +89,7 @@ def _beta_binomial(counts: tuple[int, ...], episodes: int, confidence: float) ->
     density = np.exp(log_density - log_density.max()).sum(axis=1)  # (M,)
     cumulative = np.concatenate([[0.0], density.cumsum() / density.sum()])
     edges = np.sin(np.pi / 2 * np.arange(_MEANS + 1) / _MEANS) ** 2
-    tail = (1 - confidence) / 2
+    tail = (1 - CONFIDENCE) / 2
     low, high = np.interp([tail, 1 - tail], cumulative, edges)
     # Nothing speaks against the bound that all counts lie at (Brown, Cai and DasGupta, 2001).
     return (
@@ -97,18 +98,16 @@ def _beta_binomial(counts: tuple[int, ...], episodes: int, confidence: float) ->
     )
 
 
-def mean_interval(values: Values, confidence: float = 0.95) -> Interval:
+def mean_interval(values: Values) -> Interval:
     """Return Student's t interval of the mean over runs; not a number for a single run."""
     array = np.asarray(values, dtype=float)
     if len(array) < 2:
         return NO_INTERVAL
-    half = float(stats.sem(array) * stats.t.ppf(0.5 + confidence / 2, len(array) - 1))
+    half = float(stats.sem(array) * stats.t.ppf(0.5 + CONFIDENCE / 2, len(array) - 1))
     return float(array.mean()) - half, float(array.mean()) + half
 
 
-def paired_interval(
-    differences: Values, bound: float | None = None, confidence: float = 0.95
-) -> Interval:
+def paired_interval(differences: Values, bound: float | None = None) -> Interval:
     """Return an interval of the mean difference of two arms on the same episodes.
 
     The squared errors over runs and over episodes are added, with Satterthwaite's degrees of
@@ -118,7 +117,6 @@ def paired_interval(
     Args:
         differences: One arm less the other for every run and episode, ``[S, N]``.
         bound: The largest possible difference; 1 for successes.
-        confidence: Probability of covering.
     """
     table = np.atleast_2d(np.asarray(differences, dtype=float))
     if bound is not None:
@@ -131,12 +129,10 @@ def paired_interval(
     if not parts:
         return NO_INTERVAL
     errors = list(zip(parts, freedoms, strict=True))
-    return _satterthwaite(float(table.mean()), errors, bound, confidence)
+    return _satterthwaite(float(table.mean()), errors, bound)
 
 
-def unpaired_interval(
-    values: Values, others: Values, bound: float | None = None, confidence: float = 0.95
-) -> Interval:
+def unpaired_interval(values: Values, others: Values, bound: float | None = None) -> Interval:
     """Return an interval of the difference in means of two arms on episodes of their own.
 
     Welch's interval. Runs of the first arm may differ: its error is that of their means where that
@@ -148,7 +144,6 @@ def unpaired_interval(
         values: The first arm's, for every run and episode, ``[S, N]``.
         others: The second arm's, ``[S, M]``.
         bound: The largest possible value, where the least is 0; 1 for successes.
-        confidence: Probability of covering.
     """
     runs = np.atleast_2d(np.asarray(values, dtype=float))
     ends = [] if bound is None else [0.0, bound]
@@ -160,20 +155,19 @@ def unpaired_interval(
         between = runs.mean(axis=1).var(ddof=1) / len(runs), len(runs) - 1
         parts[0] = max(parts[0], between)
     difference = float(arms[0].mean() - arms[1].mean())
-    return _satterthwaite(difference, parts, bound, confidence)
+    return _satterthwaite(difference, parts, bound)
 
 
 def _satterthwaite(
     difference: float,
     errors: Sequence[tuple[float, int]],
     bound: float | None,
-    confidence: float,
 ) -> Interval:
     """Student's t interval of a difference whose squared errors, with their freedoms, add up."""
     error = sum(part for part, _ in errors)
     weights = sum(part**2 / freedom for part, freedom in errors)
     freedom = error**2 / weights if weights else 1.0
-    half = float(np.sqrt(error) * stats.t.ppf(0.5 + confidence / 2, freedom))
+    half = float(np.sqrt(error) * stats.t.ppf(0.5 + CONFIDENCE / 2, freedom))
     low, high = difference - half, difference + half
     return (low, high) if bound is None else (max(low, -bound), min(high, bound))
 
@@ -186,7 +180,7 @@ def iqm(*strata: Values) -> float:
     return float(stats.trim_mean(np.concatenate(strata), 0.25))
 
 
-def iqm_interval(*strata: Values, confidence: float = 0.95, resamples: int = 2000) -> Interval:
+def iqm_interval(*strata: Values, resamples: int = 2000) -> Interval:
     """Return the stratified percentile bootstrap of :func:`iqm`.
 
     Runs are drawn anew within each stratum (task or setting). Not a number if a stratum has a
@@ -205,7 +199,7 @@ def iqm_interval(*strata: Values, confidence: float = 0.95, resamples: int = 200
         arrays,
         statistic,
         n_resamples=resamples,
-        confidence_level=confidence,
+        confidence_level=CONFIDENCE,
         method="percentile",
         rng=np.random.default_rng(0),
     ).confidence_interval

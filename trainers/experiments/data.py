@@ -28,7 +28,8 @@ from ..launch.job import Job
 from ..loggers import metrics
 from ..report.runs import Run
 from ..storage.files import write_atomically
-from ..storage.run_files import CONFIG_FILE, METRICS, RESULTS, VERSIONS
+from ..storage.run_files import CHECKPOINTS, CONFIG_FILE, METRICS, RESULTS, VERSIONS
+from ..storage.transition_log import FOLDER as TRANSITIONS
 from .spread import POSITIONS, reads_positions, spatial_variance
 
 __all__ = ["keep", "take"]
@@ -58,17 +59,20 @@ def take(jobs: Sequence[Job], data: Path) -> list[Job]:
         What was taken; these jobs are finished.
     """
     missing = [job for job in jobs if not job.finished]
-    kept = [
-        job for job in missing if not job.path.exists() and (_folder(job, data) / RESULTS).is_file()
-    ]
+    kept = [job for job in missing if not _begun(job) and (_folder(job, data) / RESULTS).is_file()]
     trained = _with_needs([job for job in missing if job not in kept], missing)
     taken = [job for job in kept if job not in trained]
     for job in taken:
         job.prepare()
-        for path in sorted(_folder(job, data).iterdir()):
-            if path.name != CONFIG_FILE:
-                shutil.copyfile(path, job.path / path.name)
+        names = {path.name for path in _folder(job, data).iterdir()} - {CONFIG_FILE, RESULTS}
+        for name in (*sorted(names), RESULTS):  # it marks a finished run
+            shutil.copyfile(_folder(job, data) / name, job.path / name)
     return taken
+
+
+def _begun(job: Job) -> bool:
+    """Return whether a run has collected anything in the store."""
+    return any((job.path / name).exists() for name in (CHECKPOINTS, TRANSITIONS))
 
 
 def _with_needs(wanted: Sequence[Job], missing: Sequence[Job]) -> list[Job]:

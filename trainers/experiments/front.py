@@ -12,9 +12,10 @@ from matplotlib.figure import Figure
 from rrl.keys import METRICS
 
 from ..evaluation.entries import CONTROLLER
+from ..metric_names import ABOVE, P99, is_share
 from ..report.curves import ALONE, controllers
 from ..report.learning_curve import CONTROLLER_COLOR
-from ..report.panels import ABOVE, Declared, agreed, quantity_title
+from ..report.panels import Declared, agreed, quantity_title
 from ..report.tables import with_interval
 from .looks import COLORS, MARKERS, PANELS
 from .outcomes import Finding, Outcome
@@ -23,8 +24,6 @@ from .tables import Table, interval_of
 
 __all__ = ["SHOWN", "draw_front", "front_rows"]
 
-HIGH = "_p99"
-LIMIT = f"{ABOVE}limit"
 SHOWN = (
     "large: mean of the seeds, bar: 95 % interval of success; small: each seed; "
     "dotted: to the mean of the 99th percentiles"
@@ -66,7 +65,7 @@ def front_rows(experiment: Experiment, finding: Finding) -> Table:
     Success has its interval over seeds; of the metric the range over seeds stands beside the mean.
     """
     quantity, first = f"{METRICS}/{experiment.metric}", finding.outcomes[0]
-    shown = [e for e in (quantity, quantity + HIGH, quantity + LIMIT) if first.knows(e)]
+    shown = [e for e in (quantity, quantity + P99, quantity + ABOVE["limit"]) if first.knows(e)]
     declared = _declared(experiment, finding)
     titles = [quantity_title(e, declared) for e in shown]
     reached, label, _ = _reached(first)
@@ -113,7 +112,7 @@ def _point(
     low, high = (unit * bound for bound in interval_of(outcome, reached, scenario))
     along = np.nan_to_num(np.maximum(0.0, [[height - low], [high - height]]))
     axis.errorbar(at, height, along, label=outcome.point.label, capsize=3, ms=8, ls="", **look)
-    _tail(axis, at, outcome.final(quantity + HIGH, scenario).mean(), height, look["color"])
+    _tail(axis, at, outcome.final(quantity + P99, scenario).mean(), height, look["color"])
 
 
 def _controller(
@@ -128,7 +127,7 @@ def _controller(
 
 def _entries(outcome: Outcome, quantity: str) -> tuple[str, ...]:
     """What a mark shows: its height, its place and the end of its tail."""
-    return _reached(outcome)[0], quantity, quantity + HIGH
+    return _reached(outcome)[0], quantity, quantity + P99
 
 
 def _alone(outcome: Outcome, scenario: str, entries: Sequence[str]) -> list[float]:
@@ -149,8 +148,8 @@ def _reached(outcome: Outcome) -> tuple[str, str, float]:
 def _declared(experiment: Experiment, finding: Finding) -> Declared:
     """What all configurations say of the metric: unit, limit."""
     name = str(experiment.metric)
-    return agreed({name: o.point.config["env"]["metrics"][name]} for o in finding.outcomes)
+    return agreed({name: o.point.config["env"]["metrics"][name] or {}} for o in finding.outcomes)
 
 
 def _unit(entry: str) -> float:
-    return 100.0 if ABOVE in entry or entry == "success" else 1.0
+    return 100.0 if is_share(entry) or entry == "success" else 1.0

@@ -27,7 +27,7 @@ SOLVED = 0.9
 
 @dataclass(frozen=True)
 class Counts:
-    """Successes of several runs on frozen episodes, the same ones for each run.
+    """Successes of several runs.
 
     Attributes:
         solved: By run ``[S]``.
@@ -87,7 +87,15 @@ class Outcome:
 
     def final(self, entry: str, scenario: str | None = None) -> Floats:
         """Return one entry of the final evaluation's summary, by seed ``[S]``."""
-        return np.array([run.summary(scenario)[entry] for run in self.runs], dtype=float)
+        return np.array([summary[entry] for summary in self.summaries(scenario)], dtype=float)
+
+    def summaries(self, scenario: str | None = None) -> list[Mapping[str, float]]:
+        """Return the final evaluation's summaries, by seed; None: in the followed scenario."""
+        return [run.summary(scenario) for run in self.runs]
+
+    def paired(self, scenario: str | None = None) -> bool:
+        """Return whether all runs found the episodes to be frozen."""
+        return self.knows("mcnemar_p", scenario)
 
     def counts(self, scenario: str | None = None) -> Counts:
         """Return how many episodes each run solves."""
@@ -95,13 +103,14 @@ class Outcome:
         return Counts(tuple(map(int, solved)), self.episodes)
 
     def controller_counts(self, scenario: str | None = None) -> Counts:
-        """Return how many episodes the controller solves, which is the same for every run."""
-        solved = round(self.final("controller_success", scenario)[0] * self.episodes)
-        return Counts((solved,), self.episodes)
+        """Return how many episodes the controller solves; paired, it is the same for every run."""
+        solved = np.rint(self.final("controller_success", scenario) * self.episodes)
+        solved = solved[:1] if self.paired(scenario) else solved
+        return Counts(tuple(map(int, solved)), self.episodes)
 
     def knows(self, entry: str, scenario: str | None = None) -> bool:
         """Return whether the final evaluation has that entry; None: in the followed scenario."""
-        return all(entry in run.summary(scenario) for run in self.runs)
+        return all(entry in summary for summary in self.summaries(scenario))
 
     def follows(self, entry: str) -> bool:
         """Return whether the evaluations during training have that entry."""

@@ -12,7 +12,6 @@ from ..launch.job import Job
 from ..launch.pool import Ending
 from ..report.markdown import MarkdownPage
 from ..report.page import Page
-from ..storage.versions import versions
 from .claims import Verdict
 from .outcomes import Findings
 from .plan import command
@@ -83,7 +82,7 @@ def write_experiments(
         page.details(job.name, job.log_tail(60))
     _configurations(page, shown, out.parent)
     page.section("Versions")
-    page.table(["package", "version"], [[name, version] for name, version in versions().items()])
+    page.text(_versions_of_runs(shown))
     return page.write(out)
 
 

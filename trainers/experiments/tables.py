@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -118,12 +118,18 @@ def _success_row(outcome: Outcome, scenario: str, with_setting: bool) -> list[st
     cells = [scenario, *_arm(outcome, with_setting)]
     for counts in (outcome.counts(scenario), outcome.controller_counts(scenario)):
         cells += [str(counts), f"{TRIALS * counts.rate:.1f}"]
-    if not outcome.knows("mcnemar_p", scenario):  # the episodes are not frozen
-        tests = ", ".join(f"{p:.1g}" for p in outcome.final("fisher_p", scenario))
-        return [*cells, "not paired", f"{tests} (Fisher's)"]
+    if not outcome.paired(scenario):
+        return [*cells, "not paired", ", ".join(map(_unpaired_test, outcome.summaries(scenario)))]
     changes = [outcome.final(entry, scenario).sum() for entry in ("rescues", "regressions")]
     cells.append(f"{changes[0]:.0f} / {changes[1]:.0f}")
     return [*cells, ", ".join(f"{p:.1g}" for p in outcome.final("mcnemar_p", scenario))]
+
+
+def _unpaired_test(summary: Mapping[str, float]) -> str:
+    """Return the p-value of one run, of which others found the episodes not to be frozen."""
+    if "mcnemar_p" in summary:
+        return f"{summary['mcnemar_p']:.1g}"
+    return f"{summary['fisher_p']:.1g} (Fisher's)"
 
 
 def _final_row(outcome: Outcome, with_setting: bool) -> list[str]:

@@ -10,10 +10,10 @@ from rrl.keys import METRICS
 
 from ..evaluation.entries import ACCEPTED, CONTROLLER
 from ..loggers import metrics
+from ..metric_names import ABOVE, P99, is_share
 from .curves import ANY
 
 __all__ = [
-    "ABOVE",
     "CHANGES",
     "FOLLOWED",
     "LEARNING",
@@ -33,8 +33,6 @@ Declared = Mapping[str, Mapping[str, Any]]
 FOLLOWED = "{followed}"
 """Stands in a metric's name for the scenario that is evaluated during training."""
 RATE = (0.0, 1.0)
-ABOVE = "_above_"
-"""In a quantity's name before ``budget`` or ``limit``: the share of episodes above it."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +87,7 @@ LENGTH = _evaluated("episode_length", "control steps of an episode")
 def quantities(entries: Iterable[str], declared: Declared) -> list[Panel]:
     """Return a panel for every ``metrics/<name>`` of an evaluation."""
     found = [entry for entry in entries if entry.startswith(f"{METRICS}/")]
-    return [_evaluated(e, quantity_title(e, declared), counted=ABOVE in e) for e in found]
+    return [_evaluated(e, quantity_title(e, declared), counted=is_share(e)) for e in found]
 
 
 def agreed(declarations: Iterable[Declared]) -> Declared:
@@ -108,8 +106,9 @@ def agreed(declarations: Iterable[Declared]) -> Declared:
 
 def quantity_title(entry: str, declared: Declared) -> str:
     """Name a mean, ``..._p99`` or a share ``..._above_...`` of ``metrics/<name>`` in words."""
-    name, _, bound = entry.partition("/")[2].partition(ABOVE)
-    base = name.removesuffix("_p99")
+    name = entry.partition("/")[2]
+    bound = next((kind for kind, ending in ABOVE.items() if name.endswith(ending)), "")
+    base = name.removesuffix(ABOVE[bound] if bound else P99)
     how, words = declared.get(base, {}), base.replace("_", " ")
     unit = how.get("unit", "")
     if bound:

@@ -41,7 +41,7 @@ def write_report(runs: Sequence[Run], out: Path) -> Path:
         page.chart(
             figure, "Where the time of a run went, as far as it is logged; mean of the runs."
         )
-    _videos(page, runs)
+    _videos(page, groups)
     _configuration(page, groups)
     _versions(page, groups)
     return page.write(out)
@@ -87,7 +87,7 @@ def _results(page: Page, groups: Sequence[Group]) -> None:
     if found:
         header = [tables.COLUMNS[0], "run", *tables.COLUMNS[1:], "each run"]
         page.table(header, [row for s, g in found for row in _success(g, s)])
-        for g in groups:
+        for g in (g for g in groups if g.results):
             for note in notes.notes(g.results, g.declared)[1:]:
                 page.text(f"{g.label}: {note}" if len(groups) > 1 else note)
         page.text(notes.NOTE)
@@ -205,16 +205,16 @@ def _sections(groups: Sequence[Group]) -> tuple[tuple[str, Sequence[Panel], str]
     )
 
 
-def _videos(page: Page, runs: Sequence[Run]) -> None:
-    videos = [(run, video) for run in runs for video in run.videos]
+def _videos(page: Page, groups: Sequence[Group]) -> None:
+    videos = [(shown, video) for group in groups for shown, video in group.videos]
     if videos:
         page.section("Videos")
     size = 0
-    for run, video in videos:
+    for shown, video in videos:
         more = video.stat().st_size
         if size + more <= MAX_VIDEO_BYTES:
             size += more
-            page.video(video, f"{run.label}: {video.stem.replace('_', ' ')}")
+            page.video(video, f"{shown}: {video.stem.replace('_', ' ')}")
         else:
             page.text(f"Left out to keep the page small: `{video}`.")
 

@@ -105,7 +105,7 @@ class Run:
     @property
     def videos(self) -> list[Path]:
         """Rendered episodes."""
-        return sorted(p for p in (self.path / VIDEOS).glob("*") if p.suffix in (".mp4", ".gif"))
+        return _videos_in(self.path)
 
     def summary(self, scenario: str | None = None) -> Mapping[str, float]:
         """Return the final evaluation in a scenario; None: the followed one.
@@ -161,6 +161,14 @@ class Group:
         """The final evaluations by scenario, one for each run that is finished."""
         names = dict.fromkeys(name for run in self.runs for name in run.results)
         return {n: [r.results[n] for r in self.runs if n in r.results] for n in names}
+
+    @property
+    def videos(self) -> list[tuple[str, Path]]:
+        """Rendered episodes, each with the label of what it shows: of all seeds, then of each."""
+        parents = dict.fromkeys(run.path.parent for run in self.runs)
+        folders = [p for p in parents if set(seed_directories(p)) & {run.path for run in self.runs}]
+        common = [(self.label, video) for folder in folders for video in _videos_in(folder)]
+        return common + [(run.label, video) for run in self.runs for video in run.videos]
 
     def curve(self, metric: str) -> Curve | None:
         """Return a metric over environment steps; None if no run logged it.
@@ -279,3 +287,7 @@ def _labels(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
 
 def _common(paths: Sequence[Path]) -> Path:
     return Path(os.path.commonpath(paths))
+
+
+def _videos_in(folder: Path) -> list[Path]:
+    return sorted(p for p in (folder / VIDEOS).glob("*") if p.suffix in (".mp4", ".gif"))

@@ -21,10 +21,11 @@ from ..evaluation.statistics import (
     unpaired_interval,
     wilson,
 )
+from ..metric_names import is_share
 from .curves import Floats
 from .markdown import markdown_table
 from .notes import Results, is_frozen, notes
-from .panels import ABOVE, Declared, quantity_title
+from .panels import Declared, quantity_title
 from .runs import Record
 
 if TYPE_CHECKING:  # without torch a report of finished runs is quick
@@ -167,8 +168,8 @@ def with_interval(
     if math.isnan(interval[0]):
         return f"{text}{percent}{' (one run)' if math.isfinite(value) else ''}"
     unit = 10**digits
-    low = np.floor(interval[0] * scale * unit + 1e-9) / unit
-    high = np.ceil(interval[1] * scale * unit - 1e-9) / unit
+    low = np.floor(interval[0] * scale * unit + 1e-9) / unit + 0.0  # no zero with a sign
+    high = np.ceil(interval[1] * scale * unit - 1e-9) / unit + 0.0
     return f"{text} [{low:{sign}.{digits}f}, {high:{sign}.{digits}f}]{percent}"
 
 
@@ -200,7 +201,7 @@ def quantity_rows(
 def _mean(summaries: Sequence[Mapping[str, Any]], key: str) -> str:
     """The mean of an entry over runs; of a share in per cent."""
     mean = np.mean([summary[key] for summary in summaries])
-    return f"{100 * mean:.1f}" if ABOVE in key else f"{mean:.2f}"
+    return f"{100 * mean:.1f}" if is_share(key) else f"{mean:.2f}"
 
 
 def episode_rows(results: Results) -> list[list[Any]]:

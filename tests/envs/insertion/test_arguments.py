@@ -24,6 +24,9 @@ def test_arguments_are_checked_without_building_physics(variant: str) -> None:
     assert sizes == {name: spec[name].shape[-1] for name in sizes}
     with pytest.raises(ValueError, match=r"reward_weights: expected .*'tilt'.*got .*'tlit'"):
         InsertionEnv.check_arguments(variant, reward_weights={"tlit": 1.0})
+    nothing = dict.fromkeys(("distance", "tilt", "displacement", "yaw"), 0.0)
+    with pytest.raises(ValueError, match="reward_weights: expected one above 0"):
+        InsertionEnv.check_arguments(variant, reward_weights=nothing)
 
 
 @pytest.mark.parametrize("name", ["num_envs", "num_threads"])

@@ -6,11 +6,11 @@ import io
 import numpy as np
 import pytest
 import torch
-from insertion_helpers import act, assert_same, random_actions
 from tensordict import TensorDict
 from torchrl.envs import ParallelEnv
 from torchrl.envs.utils import check_env_specs
 
+from insertion_helpers import act, assert_same, random_actions
 from rrl.envs import InsertionEnv
 
 DOWN = torch.tensor([0.0, 0.0, -1.0])

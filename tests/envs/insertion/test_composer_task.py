@@ -3,8 +3,8 @@ from __future__ import annotations
 import dm_env
 import numpy as np
 import pytest
-from insertion_helpers import act, random_actions
 
+from insertion_helpers import act, random_actions
 from rrl.envs import InsertionEnv, load
 
 

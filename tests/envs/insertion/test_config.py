@@ -54,7 +54,7 @@ def test_derived_geometry() -> None:
 
 def test_reward_weights_that_are_not_named_stay() -> None:
     config = make_config("real", {"reward_weights": {"yaw": 0.0}})
-    assert config.reward_weights == {"displacement": 0.5, "yaw": 0.0}
+    assert config.reward_weights == {"displacement": 0.1, "yaw": 0.0}
 
 
 def test_checks_itself_without_make_config() -> None:

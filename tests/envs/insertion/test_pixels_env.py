@@ -8,10 +8,10 @@ import io
 import numpy as np
 import pytest
 import torch
-from insertion_helpers import act, assert_same, random_actions
 from torchrl.envs import ParallelEnv
 from torchrl.envs.utils import check_env_specs
 
+from insertion_helpers import act, assert_same, random_actions
 from rrl.envs import InsertionEnv, InsertionPixelsEnv, RenderingUnavailable, opengl
 
 DOWN = torch.tensor([0.0, 0.0, -1.0])

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from insertion_helpers import act
 
+from insertion_helpers import act
 from rrl.envs import (
     InsertionEnv,
     RenderingUnavailable,

@@ -6,9 +6,9 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from plants import an_address, plant
 from torchrl.envs.utils import check_env_specs
 
+from plants import an_address, plant
 from rrl.envs import RobotEnv
 from rrl.envs.insertion.config import make_config
 from rrl.envs.plant import RemoteRobot, SimulatedPlant, inject

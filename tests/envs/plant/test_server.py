@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 import pytest
 import zmq
-from plants import an_address
 
+from plants import an_address
 from rrl.envs.plant import RemoteRobot, serve
 from rrl.envs.plant.__main__ import main
 from rrl.envs.plant.protocol import pack

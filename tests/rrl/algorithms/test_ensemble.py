@@ -4,9 +4,9 @@ import copy
 
 import pytest
 import torch
-from ensembles import TORCHRL, each_loss, make_loss
 
 from agents import ACTION, BATCH, batches, critics, learn, make_agent, parameters
+from ensembles import TORCHRL, each_loss, make_loss
 from rrl.algorithms import SAC, TD3, EnsembleSACLoss, EnsembleTD3Loss
 from rrl.keys import OBSERVATION as FEATURES
 

@@ -2,13 +2,13 @@
 
 import pytest
 import torch
-from ensembles import TORCHRL, actor, assert_same, each_loss, losses_and_gradients, make_loss
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torchrl.objectives import LossModule, SoftUpdate
 from torchrl.objectives.utils import ValueEstimators
 
 from agents import ACTION, BATCH, OBSERVATION, batches
+from ensembles import TORCHRL, actor, assert_same, each_loss, losses_and_gradients, make_loss
 from rrl.algorithms import EnsembleSACLoss, EnsembleTD3Loss, mlp
 
 OTHER_KEYS = {

@@ -37,6 +37,9 @@ BROKEN = {
     "algorithm.agent.encoder.strides=[4,2]": [AGENT, "expected lists of the same length"],
     "algorithm.agent.encoder.shift=-1": [AGENT, "shift: expected a whole number"],
     "+env.inputs.goal.channels=middle": ["env.inputs.goal.channels", "first, last, none"],
+    "+env.sensing.pile={_target_:torchrl.envs.CatFrames,N:3,dim:-1,in_keys:[blocks]}": [
+        "env.inputs.blocks.loc: expected 1 or 39 numbers, got 13",
+    ],
     "+env.critic_inputs.wrench={}": ["env.critic_inputs", "does not have 'wrench'", "force_z"],
     # unknown choices
     "env=insertion-mars": ["insertion-mars"],
@@ -209,6 +212,12 @@ def test_what_may_be_left_out_is_read_by_nobody(group):
     assembly.check(config)
     assembly.environment(config)
     assembly.loggers(config)
+
+
+def test_an_entry_that_sensing_writes_is_an_entry():
+    stack = "{_target_:torchrl.envs.CatFrames,N:3,dim:-1,in_keys:[blocks],out_keys:[stacked]}"
+    found = f"+env.sensing.stack={stack} +env.inputs.stacked={{}} algorithm.use_symmetries=false"
+    assert message_of(found + " ~env.symmetries") == ""
 
 
 def test_the_shipped_configuration_is_fine():

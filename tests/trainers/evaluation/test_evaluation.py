@@ -217,3 +217,14 @@ def test_what_is_no_factory_of_the_right_kind_is_named(factory, changes, error, 
 def test_what_a_base_raises_itself_is_left_alone(factory):
     with pytest.raises(TypeError, match="unexpected keyword argument 'speed'"):
         factory.with_overrides(speed=1).make(1)
+
+
+@pytest.mark.parametrize(("limit", "warnings"), [(20, 0), (50, 1)])
+def test_a_limit_that_no_episode_comes_near_is_named_once(factory, limit, warnings, caplog):
+    evaluator = Evaluator({"one": replace(factory, max_episode_steps=limit)}, EvaluationSettings())
+    for stream in (Stream.FOLLOWING, Stream.FINAL):
+        evaluator.compare(ZERO, "one", stream, 3)
+    evaluator.close()
+    said = [r.getMessage() for r in caplog.records if "max_episode_steps" in r.getMessage()]
+    assert len(said) == warnings
+    assert all("got 50; all 3 episodes of the controller ended after 20 steps" in s for s in said)

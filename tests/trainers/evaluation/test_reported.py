@@ -142,3 +142,14 @@ def test_a_metric_of_several_numbers_or_an_unknown_one_is_refused(factory):
     made = replace(reporting(factory), metrics={"clocks": Metric()})
     with pytest.raises(ValueError, match=r"writes \['clock', 'right'\], got \['clocks'\]"):
         made.make(1)
+
+
+@pytest.mark.parametrize("name", ["force_p99", "force_above_limit", "force_above_budget"])
+def test_a_metric_called_like_what_is_derived_is_refused(factory, name):
+    class Named(Reporting):
+        def __init__(self, *args, **kwargs):
+            super().__init__(*args, **kwargs)
+            self.observation_spec["metrics", name] = Unbounded((*self.batch_size, 1))
+
+    with pytest.raises(ValueError, match=f"names without the endings .*got {name}"):
+        replace(factory, base=lambda num_envs=1: Named([num_envs])).make(2)

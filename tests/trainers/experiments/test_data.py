@@ -118,3 +118,15 @@ def test_runs_are_kept_as_they_end_and_shown_without_running(experiment, run, pr
     assert "2 runs, 1 of them finished; none is run now" in said
     assert len(numbers(report.parent / "figures/some.csv")) == 4
     assert not list((project / "elsewhere").rglob("checkpoints"))
+
+
+def test_taking_is_done_again_where_it_was_interrupted(experiment, run, project):
+    experiment({**CURVES, "seeds": 1, "arms": {"residual RL": ["arm=residual"]}})
+    run("some", data="kept")
+    run("some", data="kept", out="elsewhere", workers=0)
+    (taken,) = (project / "elsewhere/runs").glob("*/seed-0")
+    for name in ("results.json", "metrics.csv"):  # what was not there yet
+        (taken / name).unlink()
+    _, said = run("some", data="kept", out="elsewhere", workers=0)
+    assert "1 runs are taken from" in said
+    assert (taken / "metrics.csv").exists()

@@ -157,3 +157,16 @@ def test_scenarios_may_be_paired_or_not(outcome):
             del run.results["loose"]["summary"][entry]
     _, rows = outcome_rows(of("table"), finding(made))
     assert [row[-2] for row in rows] == ["15 / 0", "not paired"]
+
+
+def test_seeds_that_found_the_episodes_frozen_stand_beside_others(outcome):
+    made = outcome(scenarios={"misaligned": {"success": 0.75, "controller_success": 0.1}})
+    loose = made.runs[0].results["misaligned"]["summary"]
+    loose |= {"fisher_p": 0.03, "controller_success": 0.2}
+    for entry in ("rescues", "regressions", "mcnemar_p"):
+        del loose[entry]
+    header, (row,) = outcome_rows(of("table"), finding(made))
+    cells = dict(zip(header, row, strict=True))
+    assert cells["rescued / broken"] == "not paired"
+    assert cells["controller"].startswith("4/2/2 of 20")
+    assert cells["McNemar's p, by seed"].count("Fisher's") == 1

@@ -17,6 +17,7 @@ from rrl.trainers.experiments.reproduce import reproduce
 from rrl.trainers.launch.display import Display
 from rrl.trainers.launch.job import Job
 from rrl.trainers.loggers import read_metrics
+from rrl.trainers.storage.files import lock
 from rrl.trainers.training.interruption import Interrupted
 
 
@@ -208,3 +209,13 @@ def test_a_terminal_shows_runs_done_success_and_steps(tmp_path, monkeypatch):
 
 def test_the_end_of_a_log_that_is_not_there_is_said(tmp_path):
     assert "No such file" in a_job(tmp_path / "none").log_tail()
+
+
+def test_two_commands_do_not_share_a_store(project, run):
+    held = lock(project)
+    try:
+        with pytest.raises(BlockingIOError, match="another process is training"):
+            run("drift", out=str(project))
+        run("drift", out=str(project), workers=0)  # to look is allowed
+    finally:
+        os.close(held)

@@ -1,6 +1,7 @@
 """Two groups of runs."""
 
 import pytest
+
 from logged_runs import make_group
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rrl.trainers.report.panels import agreed, budgets, quantity_title
+from rrl.trainers.report.panels import agreed, budgets, quantities, quantity_title
 
 DECLARED = {"contact_force": {"unit": "N"}}
 
@@ -34,3 +34,8 @@ def test_a_bound_is_named_where_all_that_have_one_have_the_same(bounds, words):
     declared = agreed({"contact_force": {"unit": "N", "budget": bound}} for bound in bounds)
     title = quantity_title("metrics/contact_force_above_budget", declared)
     assert title == f"contact force {words}"
+
+
+def test_a_quantity_may_be_above_something_by_name():
+    (panel,) = quantities(["metrics/height_above_table"], {"height_above_table": {"unit": "m"}})
+    assert (panel.title, panel.scale) == ("height above table, mean [m]", 1.0)

@@ -6,9 +6,9 @@ from functools import partial
 
 import numpy as np
 import pytest
-from logged_runs import EPISODES, FORCE, edit, episodes, make_run
 
 from browser import needs_chromium, opened
+from logged_runs import EPISODES, FORCE, edit, episodes, make_run
 from rrl.trainers.cli.main import main
 from rrl.trainers.evaluation.episodes import Comparison
 from rrl.trainers.evaluation.statistics import success_interval
@@ -214,3 +214,21 @@ def test_a_curve_is_thinned_by_averages_and_keeps_its_end():
     low, high = thin.band()
     assert np.allclose((low + high) / 2, thin.mean)
     assert np.allclose(high - low, 12.706, atol=1e-3)  # the t quantile of one degree of freedom
+
+
+def test_a_video_of_all_seeds_is_shown_once(runs, tmp_path):
+    folder = runs[0].parent / "videos"
+    folder.mkdir()
+    (folder / "misaligned_episode_3.mp4").write_bytes(bytes(10))
+    source = write_report(find_runs(runs), tmp_path / "page.html").read_text()
+    assert source.count("insertion-residual: misaligned episode 3") == 1
+
+
+def test_only_groups_with_results_are_told_their_budgets(tmp_path):
+    budget = {"budget": 25.0}
+    runs = [
+        make_run(tmp_path / "done", **budget),
+        make_run(tmp_path / "begun", tau=0.5, finished=False, **budget),
+    ]
+    source = write_report(find_runs(runs), tmp_path / "page.html").read_text()
+    assert source.count("Budget for the mean of contact force") == 1

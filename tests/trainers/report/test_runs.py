@@ -5,8 +5,8 @@ import sys
 
 import pytest
 import yaml
-from logged_runs import EPISODES, edit, make_run
 
+from logged_runs import EPISODES, edit, make_run
 from rrl.trainers.report.report import write_report
 from rrl.trainers.report.runs import find_runs, group_runs
 

@@ -66,6 +66,7 @@ def test_bounds_are_rounded_outwards(interval, text):
         (np.nan, (np.nan, np.nan), "nan"),
         (1.0, (np.nan, np.nan), "1.00 (one run)"),
         (1.0, (-np.inf, np.inf), "1.00 [-inf, inf]"),
+        (0.0, (0.0, -0.0), "0.00 [0.00, 0.00]"),
     ],
 )
 def test_what_is_not_finite_is_written_as_it_is(value, interval, text):

@@ -5,8 +5,8 @@ import threading
 import time
 
 import pytest
-from plants import FAST, an_address, plant, plant_factory
 
+from plants import FAST, an_address, plant, plant_factory
 from rrl.envs.plant import inject
 from rrl.envs.plant.faults import KINDS
 from rrl.robot import RobotFault

@@ -1,0 +1,15 @@
+"""How evaluations name what they derive from a quantity."""
+
+from __future__ import annotations
+
+__all__ = ["ABOVE", "P99", "is_share"]
+
+P99 = "_p99"
+"""Ending of its 99th percentile over the episodes."""
+ABOVE = {"budget": "_above_budget", "limit": "_above_limit"}
+"""Endings of the share of the episodes in which it is above a bound."""
+
+
+def is_share(entry: str) -> bool:
+    """Return whether an entry of an evaluation is a share of its episodes."""
+    return entry.endswith(tuple(ABOVE.values()))
