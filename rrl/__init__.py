@@ -10,50 +10,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rrl.algorithms import (
-        DDPG,
-        SAC,
-        TD3,
-        Adam,
-        Agent,
-        AgentSettings,
-        EnsembleSACLoss,
-        EnsembleTD3Loss,
-        Multiplier,
-        TorchOptimizer,
-        mlp,
-        no_exploration,
-    )
-    from rrl.controllers import (
-        Controller,
-        FunctionController,
-        PIDController,
-        PolicyController,
-        ProportionalController,
-        ReplayController,
-        StatefulController,
-        SumController,
-        ZeroController,
-    )
-    from rrl.encoders import Concatenate, FrozenEncoder, PixelEncoder, automatic, random_shift
-    from rrl.interventions import InterventionSampler, ScriptedOperator, relabel_interventions
-    from rrl.transforms import (
-        ActionHistory,
-        ControlNoise,
-        EpisodeValue,
-        FiniteAction,
-        FiniteObservation,
-        ForceLimit,
-        Intervention,
-        JudgedSuccess,
-        ObservationDropout,
-        ObservationLatency,
-        ObservationNoise,
-        ResidualAction,
-        SafetyLimit,
-        StepLimit,
-        WorkspaceLimit,
-    )
+    from rrl.algorithms import *
+    from rrl.controllers import *
+    from rrl.encoders import *
+    from rrl.interventions import *
+    from rrl.transforms import *
 
 __all__ = [
     "DDPG",

@@ -122,5 +122,6 @@ def require(
     value = entries.get(key, None)
     if value is None:
         present = sorted(map(str, entries.keys(True, True)))
-        raise KeyError(f"{type(owner).__name__}: expected the entry {key!r}, got {present}{remedy}")
+        name = owner if isinstance(owner, str) else type(owner).__name__
+        raise KeyError(f"{name}: expected the entry {key!r}, got {present}{remedy}")
     return value

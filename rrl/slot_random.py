@@ -104,14 +104,6 @@ class SlotGenerators:
             fill(out[slot], generator=self._generators[slot])
         return out
 
-    def __getstate__(self) -> dict[str, Any]:
-        # Plain tensors instead of generators: picklable in every supported torch version.
-        return {"stream": self.stream, **self.state_dict()}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.stream = state["stream"]
-        self.load_state_dict(state)
-
 
 class Seeded:
     """Mark of a module that owns random numbers and is reached by :func:`seed_env`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar
@@ -133,8 +134,14 @@ class Agent(nn.Module, ABC):
         return actor if len(self.read_keys) == 1 else FirstOnly(actor)
 
     def acting_network(self, actor: nn.Module) -> nn.Module:
-        """Return the network from the inputs to the actor's output, symmetric if the task is."""
-        network = actor if self.symmetry is None else SymmetricActor(actor, self.symmetry)
+        """Return the network from the inputs to the actor's output, symmetric if the task is.
+
+        It shares the actor's tensors and acts without what is for learning alone, such as dropout.
+        """
+        shared = {id(tensor): tensor for tensor in (*actor.parameters(), *actor.buffers())}
+        network = copy.deepcopy(actor, shared).eval()
+        if self.symmetry is not None:
+            network = SymmetricActor(network, self.symmetry)
         return EncodedNetwork(self.encoder, network)
 
     def learn_from(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import importlib
 import logging
 import os
@@ -35,6 +36,8 @@ DRAWS = (
     ATEN.normal_.default,
     ATEN.normal_functional.default,
     ATEN.uniform_.default,
+    ATEN.bernoulli_.float,
+    ATEN.bernoulli.p,
 )
 """Random operations that read nothing but shape and type."""
 
@@ -93,7 +96,8 @@ class CompiledUpdate:
     def __call__(self, *tensors: Tensor) -> dict[str, Tensor]:
         """Do what the update does."""
         if self._run is None and not self.failed:
-            self._try_to_compile(tensors)
+            with torch.random.fork_rng(devices=range(torch.cuda.device_count())):
+                self._try_to_compile(tensors)
         if self._run is None:
             return self._update(*tensors)
         with torch.no_grad():
@@ -107,13 +111,10 @@ class CompiledUpdate:
         log.info("compiling the update: up to half a minute the first time, else seconds")
         start = time.perf_counter()
         cache = _choose_cache()
-        owned = [v for v in self._module.state_dict().values() if isinstance(v, Tensor)]
-        before, generator = [value.clone() for value in owned], torch.get_rng_state()
+        before = copy.deepcopy(self._module.state_dict())
 
         def put_back() -> None:
-            for value, old in zip(owned, before, strict=True):
-                value.copy_(old)
-            torch.set_rng_state(generator)
+            self._module.load_state_dict(before)
 
         self._update(*tensors)  # what is made at first use is then made of real tensors
         put_back()

@@ -68,10 +68,10 @@ class RewardScale(nn.Module):
             self.value.fill_(factor)
 
     def copy(self, other: RewardScale) -> None:
-        """Go on from what another one has derived."""
+        """Go on from another one's factor, if it is not given."""
         if self.derives:
             self.value.copy_(other.value)
-            self.known = other.known
+            self.known = other.known or not other.derives
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return what a checkpoint needs beyond tensors."""

@@ -73,19 +73,13 @@ class Controller(TensorDictModuleBase):
     @contextmanager
     def only(self, mask: Tensor | None) -> Iterator[None]:
         """Change the memory where ``mask`` (bool ``[*batch]``) is True alone; None: everywhere."""
-        before = [] if mask is None else self.snapshot()
+        if mask is None:
+            yield
+            return
+        before = [(module, module.memory()) for module in self._stateful()]
         yield
-        if mask is not None:
-            self.restore(before, ~mask)
-
-    def snapshot(self) -> list[Any]:
-        """Return the state of every stateful controller in here, for :meth:`restore`."""
-        return [module.memory() for module in self._stateful()]
-
-    def restore(self, snapshot: list[Any], mask: Tensor) -> None:
-        """Put a snapshot back in the slots where ``mask`` (bool ``[*batch]``) is True."""
-        for module, memory in zip(self._stateful(), snapshot, strict=True):
-            module.put_back(memory, mask)
+        for module, memory in before:
+            module.put_back(memory, ~mask)
 
     def _stateful(self) -> list[StatefulController]:
         return [module for module in self.modules() if isinstance(module, StatefulController)]

@@ -169,14 +169,18 @@ def _name(function: Any) -> str:
     return getattr(function, "__name__", type(function).__name__)
 
 
+def _has_own_memory(slot: Any) -> bool:
+    """Return whether an object saves and restores itself; one method alone does not do."""
+    methods = ("state_dict", "load_state_dict")
+    return all(callable(getattr(slot, name, None)) for name in methods)
+
+
 def _remembered(slot: Any) -> Any:
-    own = getattr(slot, "state_dict", None)
-    return own() if callable(own) else copy.deepcopy(vars(slot))
+    return slot.state_dict() if _has_own_memory(slot) else copy.deepcopy(vars(slot))
 
 
 def _remember(slot: Any, remembered: Any) -> None:
-    own = getattr(slot, "load_state_dict", None)
-    if callable(own):
-        own(remembered)
+    if _has_own_memory(slot):
+        slot.load_state_dict(remembered)
     elif isinstance(remembered, Mapping):
         vars(slot).update(copy.deepcopy(dict(remembered)))

@@ -60,7 +60,7 @@ class EpisodeValue(SlotTransform):
         self._stepped: Memory = {}
 
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
-        nothing = torch.zeros(*td.batch_size, 1, device=td.device)
+        nothing = torch.zeros(*td.batch_size, 1, dtype=torch.float32, device=td.device)
         begun = torch.zeros_like(nothing, dtype=torch.bool)
         return dict.fromkeys(self.reductions, nothing) | {"begun": begun}
 

@@ -38,7 +38,16 @@ def evaluate(config: assembly.Config, run_dir: Path, console: Output) -> None:
 
 
 def render(config: assembly.Config, run_dir: Path, console: Output) -> None:
-    """Write a video of controller and residual on the same episode."""
+    """Write a video of controller and residual on the same episode.
+
+    Raises:
+        ValueError: If the environment has no renderer.
+    """
+    if not config["env"].get("renderer"):
+        raise ValueError(
+            "env.renderer: expected what makes a video's frames, got null: see "
+            "rrl.envs.render_states and rrl.envs.render_mujoco"
+        )
     for path in film_run(config, best_run(run_dir), run_dir, console):
         console.say(f"  {path}")
 

@@ -29,6 +29,9 @@ WHOLE = {
     "tests of the policies to hand over": f"{metrics.ACCEPTANCE}/",
     "losses and values": f"{metrics.LOSS}/",
     "steps changed by a safety limit": f"{metrics.SAFETY}/",
+    "steps that an operator has taken over": f"{metrics.INTERVENTION}/",
+    "prices of the budgets": f"{metrics.CONSTRAINT}/",
+    "collection in wall-clock time": f"{metrics.REALTIME}/",
     "seconds of a round": f"{metrics.TIME}/",
 }
 """Titles of the panels that show all metrics whose names begin so."""

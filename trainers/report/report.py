@@ -190,6 +190,11 @@ def _sections(groups: Sequence[Group]) -> tuple[tuple[str, Sequence[Panel], str]
             "Collection in wall-clock time, per collection: errors of the control period, time of "
             "inference, steps without an answer in time, faults, the acting policy's age in steps.",
         ),
+        (
+            "Interventions",
+            panels_of(metrics.INTERVENTION),
+            "Share of the training steps that an operator has taken over.",
+        ),
         ("Losses", panels_of(metrics.LOSS), "Means over the updates of a round."),
         (
             "Budgets",

@@ -70,6 +70,29 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
+def write_at(descriptor: int, data: Any, start: int, path: Path, whole: str) -> None:
+    """Write all of ``data`` at byte ``start`` of an open file, or nothing of it.
+
+    Args:
+        descriptor: Of the file.
+        data: Bytes.
+        start: Where they go.
+        path: Of the file, for the message.
+        whole: What lies before them and is whole, for the message.
+
+    Raises:
+        OSError: If they cannot be written, as where the disk is full; the file is cut at ``start``.
+    """
+    try:
+        written = 0
+        while written < len(data):
+            written += os.pwrite(descriptor, data[written:], start + written)
+    except OSError as error:
+        os.ftruncate(descriptor, start)
+        text = f"{error.strerror}; {whole} before it are whole"
+        raise OSError(error.errno, text, str(path)) from error
+
+
 def lock(folder: Path) -> int:
     """Claim a directory until the returned descriptor is closed, or the process dies.
 

@@ -31,7 +31,7 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict
 
-from .files import number_of, sync, write_atomically, write_tail
+from .files import number_of, sync, write_at, write_atomically, write_tail
 from .transition_log import TransitionLog
 
 __all__ = ["FrameLog", "Frames"]
@@ -177,7 +177,7 @@ class FrameLog:
         for path in self._files():
             if (number_of(path) + 1) * self._per_file <= first:
                 path.unlink()
-        self._index.forget(first)
+        self._index.forget(first // WHOLE_EVERY * WHOLE_EVERY)  # reading begins at a whole frame
 
     def close(self) -> None:
         """Close the file that grows."""
@@ -217,13 +217,7 @@ class FrameLog:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT, 0o666)
         try:
             os.ftruncate(descriptor, start)  # what a kill has left half written
-            written = 0
-            while written < len(data):
-                written += os.pwrite(descriptor, data[written:], start + written)
-        except OSError as error:
-            os.ftruncate(descriptor, start)
-            what = f"{error.strerror}; {self.count} frames before it are whole"
-            raise OSError(error.errno, what, str(path)) from error
+            write_at(descriptor, data, start, path, f"{self.count} frames")
         finally:
             os.close(descriptor)
 

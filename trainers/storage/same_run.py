@@ -7,30 +7,6 @@ from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any
 
-MAY_CHANGE = (
-    "name",
-    "launcher",
-    "workers",
-    "logger",
-    "logger.*",
-    "render.*",
-    "trainer.total_steps",
-    "trainer.profile",
-    "trainer.keys",
-    "trainer.threads",
-    "trainer.evaluation.*",
-    "trainer.acceptance.episodes",
-    "trainer.checkpoint.*",
-    "env.base.num_threads",
-    "env.scenarios*",
-    "env.renderer*",
-    "env.packages*",
-    "algorithm.agent.*_lr",
-    "algorithm.agent.compiled",
-)
-"""Dotted keys, with ``*`` for anything. All others decide what parameters and transitions mean, or
-which random numbers come next."""
-
 NOT_MEASURED = (
     "name",
     "launcher",
@@ -46,7 +22,18 @@ NOT_MEASURED = (
     "env.renderer*",
     "env.packages*",
 )
-"""Dotted keys that do not decide what is learned and measured."""
+"""Dotted keys, with ``*`` for anything, that do not decide what is learned and measured."""
+MAY_CHANGE = (
+    *NOT_MEASURED,
+    "trainer.total_steps",
+    "trainer.evaluation.*",
+    "trainer.acceptance.episodes",
+    "env.scenarios*",
+    "algorithm.agent.*_lr",
+    "algorithm.agent.compiled",
+)
+"""What a resumed run may have otherwise. All other keys decide what parameters and transitions
+mean, or which random numbers come next."""
 SEEDS = ("trainer.seed", "trainer.num_seeds")
 """Dotted keys in which runs differ that are shown as one."""
 

@@ -32,7 +32,7 @@ import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 
-from .files import number_of, sync, write_atomically, write_tail
+from .files import number_of, sync, write_at, write_atomically, write_tail
 from .records import CHECKSUM, Records, columns, pack, raw, record_dtype
 
 FOLDER = "transitions"
@@ -206,19 +206,8 @@ class TransitionLog:
         if at == 0 or self._descriptor is None:
             self.close()
             self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT, 0o666)
-        data = raw(records)
         self._unsynced.add(path)
-        try:
-            written = 0
-            while written < len(data):
-                written += os.pwrite(self._descriptor, data[written:], start + written)
-        except OSError as error:
-            os.ftruncate(self._descriptor, start)
-            raise OSError(
-                error.errno,
-                f"{error.strerror}; {self.count} transitions before it are whole",
-                str(path),
-            ) from error
+        write_at(self._descriptor, raw(records), start, path, f"{self.count} transitions")
 
     def _records(self, first: int, last: int) -> Records:
         """Raw records, from as many segments as it takes.

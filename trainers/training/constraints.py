@@ -107,7 +107,7 @@ class Constraints:
             price += multiplier.value / multiplier.budget * change
         weight = 1.0 + sum(multiplier.value for multiplier in self.multipliers.values())
         charged = batches.exclude(SO_FAR, ("next", SO_FAR))
-        reward = batches["next", "reward"] - price / reward_scale.abs()
+        reward = batches["next", "reward"] - price / reward_scale
         charged["next", "reward"] = reward / weight
         return charged
 

@@ -49,7 +49,7 @@ class Interruption:
         self.signal = number
         for call in self.when_asked:
             call()
-        log.warning("%s: %s; once more to stop at once", number.name, self._answer)
+        log.warning("%s: %s; another signal stops at once", number.name, self._answer)
 
     def check(self) -> None:
         """Raise :class:`Interrupted` if somebody asked."""

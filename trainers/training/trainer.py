@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -193,8 +193,7 @@ class Trainer(AbstractContextManager["Trainer"]):
                     self._evaluate()
             while self.env_steps < self.settings.total_steps:
                 self._stop_if_asked()
-                with suppress(Interrupted):  # in a round that waited for a robot, in vain
-                    self._round()
+                self._round()
             self._save()
             return self._evaluate_all()
 
@@ -214,19 +213,22 @@ class Trainer(AbstractContextManager["Trainer"]):
         """Finish the loggers and close the environments, even those that no longer answer."""
         for logger in self.loggers:
             logger.finish()
-        self.checkpoints.release()
         self.store.close()
         for close in (self.evaluator.close, self.collection.close):
             try:
                 close()
             except Exception as error:
                 log.warning("closing failed: %s", error)
+        self.checkpoints.release()  # last: another learner would find what is about to end
 
     def __exit__(self, *error: object) -> None:
         self.close()
 
     def _round(self) -> None:
-        values = self._collect_and_store()
+        try:
+            values = self._collect_and_store()
+        except Interrupted:  # it waited for a robot, in vain
+            return
         self.counters["env_steps"] += self.settings.steps_per_round
         saves = checkpoint_due(self.settings, self.env_steps)
         self.collection.before_updates(self._next_round(), saves)

@@ -83,8 +83,9 @@ class ForceLimit(SafetyLimit):
         action_key: NestedKey = ACTION,
     ) -> None:
         super().__init__("force", [] if force_key is None else [force_key], action_key)
-        per_dimension("limit", limit, positive=True)
-        per_dimension("retract", retract, minimum=0.0)
+        check("limit", limit, "one number", per_dimension("limit", limit, positive=True).ndim == 0)
+        distance = per_dimension("retract", retract, minimum=0.0)
+        check("retract", retract, "one number", distance.ndim == 0)
         self.stiffness = per_dimension("stiffness", stiffness, positive=True)
         self.unit = per_dimension("unit", unit, positive=True)
         below = onset is None or 0 <= onset < limit

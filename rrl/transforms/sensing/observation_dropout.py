@@ -58,7 +58,9 @@ class ObservationDropout(SensingFault):
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
         # Steps of an outage that are left, int64 (*batch)
         left = torch.zeros(td.batch_size, dtype=torch.int64, device=td.device)
-        return self._read(td) | {_LEFT: left}
+        # Copies: an environment may change its own tensors in place.
+        seen = {name: value.clone() for name, value in self._read(td).items()}
+        return seen | {_LEFT: left}
 
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
         batch = next_td.batch_size

@@ -76,3 +76,16 @@ def test_another_number_of_critics_is_refused(algorithm):
 def test_another_algorithm_is_refused():
     with pytest.raises(ValueError, match=r"expected TD3 with .*, got SAC with"):
         make(TD3).start_from(make(SAC))
+
+
+def test_a_factor_that_was_given_is_known_to_who_derives_one():
+    agent = make(TD3, reward_scale=None)
+    given = make(TD3, seed=7, reward_scale=10.0)
+    given.is_calibrated = True
+    agent.start_from(given)
+    before = agent.loss.state_dict()
+    values = {k: v.clone() for k, v in before.items()}
+    rewards = TensorDict({"next": {"reward": torch.linspace(-50, 50, 20).unsqueeze(-1)}}, [20])
+    agent.follow_rewards(rewards)
+    assert float(agent.reward_scale) < 10.0
+    assert any(not torch.equal(v, values[k]) for k, v in agent.loss.state_dict().items())

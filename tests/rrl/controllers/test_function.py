@@ -148,15 +148,15 @@ def test_memory_in_episodes_that_end_apart() -> None:
     assert counted == [[1, 1], [2, 2], [3, 3], [1, 4], [2, 5], [3, 1], [1, 2]]
 
 
-def test_snapshot_puts_one_slot_back() -> None:
+def test_memory_is_put_back_slot_by_slot() -> None:
     controller, data = FunctionController(Counter, KEYS[:1]), state([2])
-    start = controller.snapshot()
+    start = controller.memory()
     controller.act(data)
-    before = controller.snapshot()
+    before = controller.memory()
     controller.act(data)
-    controller.restore(before, torch.tensor([True, False]))
+    controller.put_back(before, torch.tensor([True, False]))
     assert controller.act(data).tolist() == [[2, 1], [3, 1]]
-    controller.restore(start, torch.tensor([True, False]))
+    controller.put_back(start, torch.tensor([True, False]))
     assert controller.act(data)[:, 0].tolist() == [1, 4]
 
 
@@ -285,3 +285,16 @@ def test_copies_share_no_memory() -> None:
     for each, count in ((twin, 3), (controller, 3), (twin, 4)):
         action = each(TensorDict({"position": torch.zeros(1, 1)}, [1]))["base_action"]
         assert action.tolist() == [[count, 1]]
+
+
+class SavesButDoesNotLoad(Counter):
+    def state_dict(self):
+        return {"sum": self.count}
+
+
+def test_one_half_of_a_memory_of_its_own_is_none() -> None:
+    controller, data = FunctionController(SavesButDoesNotLoad, KEYS[:1]), state([2])
+    controller.act(data)
+    other = FunctionController(SavesButDoesNotLoad, KEYS[:1])
+    other.load_state_dict(controller.state_dict())
+    assert other.act(data).tolist() == controller.act(data).tolist()

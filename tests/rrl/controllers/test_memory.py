@@ -97,9 +97,8 @@ def test_a_number_becomes_one_for_each_slot() -> None:
 
 def test_first_call_by_mask_starts_the_others_too() -> None:
     controller, data = CountDown([]), TensorDict(batch_size=[2])
-    before = controller.snapshot()
-    controller.act(data)
-    controller.restore(before, torch.tensor([False, True]))
+    with controller.only(torch.tensor([True, False])):
+        controller.act(data)
     assert controller.act(data).tolist() == [[2], [3]]
 
 

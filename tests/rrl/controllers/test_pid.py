@@ -72,12 +72,11 @@ def test_reset_by_mask() -> None:
     assert not torch.equal(out[1], out[0])
 
 
-def test_snapshot_puts_back() -> None:
+def test_only_some_slots_remember() -> None:
     controller = PIDController(integral_gain=1.0)
     controller.act(state([[0.1], [0.2]]))
-    before = controller.snapshot()
-    first = controller.act(state([[0.3], [0.3]]))
-    controller.restore(before, torch.tensor([False, True]))
+    with controller.only(torch.tensor([True, False])):
+        first = controller.act(state([[0.3], [0.3]]))
     again = controller.act(state([[0.3], [0.3]]))
     assert not torch.equal(again[0], first[0])
     assert torch.equal(again[1], first[1])

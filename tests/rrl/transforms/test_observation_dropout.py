@@ -80,3 +80,20 @@ def test_an_episode_starts_with_a_fresh_one():
 def test_numbers_out_of_range_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         ObservationDropout([POSITION], **arguments)
+
+
+class ChangesInPlace(PointMass):
+    """Shows one and the same tensor for a whole episode."""
+
+    def _observe(self):
+        out = super()._observe()
+        if (self._steps == 0).all():
+            self.__dict__["shown"] = out[POSITION].clone()
+        self.shown.copy_(out[POSITION])
+        return {**out, POSITION: self.shown}
+
+
+def test_an_environment_that_changes_its_tensors_in_place_is_held_all_the_same():
+    env = TransformedEnv(ChangesInPlace([1]), ObservationDropout([POSITION], 0.999, 3, seed=0))
+    held = seen(env, random_actions(3, 1, 2))
+    assert torch.equal(held[1], held[0])

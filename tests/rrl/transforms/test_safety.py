@@ -259,6 +259,8 @@ def test_an_arm_never_presses_harder_than_the_limit() -> None:
         (lambda: StepLimit(size=-1.0), "size: expected positive"),
         (lambda: WorkspaceLimit(0.0, 1.0, delay=-1), "delay: expected a whole number"),
         (lambda: ForceLimit(0.0, 1.0), "limit: expected positive"),
+        (lambda: ForceLimit([10.0, 20.0], 1.0), "limit: expected one number"),
+        (lambda: ForceLimit(1.0, 1.0, retract=[0.1, 0.1]), "retract: expected one number"),
         (lambda: ForceLimit(1.0, 0.0), "stiffness: expected positive"),
         (lambda: ForceLimit(1.0, 1.0, unit=-1.0), "unit: expected positive"),
         (lambda: ForceLimit(1.0, 1.0, onset=1.0), "onset: expected a force in"),

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 import torch
 from pydantic import ValidationError
+from tensordict import TensorDict
 from torchrl.data import Composite, Unbounded
 
 from rrl.algorithms import DDPG, SAC, TD3, mlp, no_exploration
 from rrl.keys import SO_FAR
 from rrl.trainers import EnvironmentFactory, Metric
 from rrl.trainers.settings import CheckpointSettings, ConstraintSettings, EvaluationSettings
+from rrl.trainers.training.constraints import Constraints
 from runs import assert_same_run, run, run_until
 from toy_envs import DRIFT, EPISODE_STEPS, STEP_SIZE, RememberingPointMass, ResetsItself
 
@@ -265,3 +267,13 @@ def test_a_budget_for_a_last_value_needs_single_steps(make_trainer, factory):
 def test_a_budget_for_what_the_environment_does_not_write_is_refused(make_trainer, factory):
     with pytest.raises(ValueError, match="metrics: expected names that the environment writes"):
         make_trainer(environment=environment(factory, force={"reduce": "max", "budget": 1.0}))
+
+
+@pytest.mark.parametrize("scale", [2.0, -2.0])
+def test_a_budget_costs_whatever_the_sign_of_the_rewards(scale):
+    effort = {"effort": Metric(reduce="sum", budget=1.0)}
+    constraints = Constraints(effort, ConstraintSettings(initial=2.0), n_step=1)
+    used = {SO_FAR: {"effort": torch.zeros(1, 1)}}
+    following = {"reward": torch.zeros(1, 1), SO_FAR: {"effort": torch.ones(1, 1)}}
+    charged = constraints.charge(TensorDict({**used, "next": following}, [1]), torch.tensor(scale))
+    assert float(charged["next", "reward"]) * scale == pytest.approx(-2 / 3)

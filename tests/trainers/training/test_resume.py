@@ -1,5 +1,6 @@
 """A run that dies and goes on is the run that never died, whatever learns, acts and is controlled."""
 
+import signal
 from dataclasses import replace
 from functools import partial
 
@@ -8,7 +9,9 @@ import torch
 from torchrl.modules import OrnsteinUhlenbeckProcessModule
 
 from rrl.algorithms import DDPG, SAC, TD3, mlp, no_exploration
+from rrl.trainers.loggers import read_metrics
 from rrl.trainers.settings import CheckpointSettings, EvaluationSettings
+from rrl.trainers.training.interruption import Interrupted
 from runs import assert_same_run, run, run_until
 from toy_envs import RememberingPointMass, RemembersAndResetsItself
 
@@ -153,3 +156,30 @@ def test_a_compiled_run_resumes_to_rounding(make_trainer, simulated):
         torch.testing.assert_close(mine, other, rtol=1e-5, atol=1e-6)
     whole.close()
     resumed.close()
+
+
+def test_an_evaluation_that_was_broken_off_is_made_after_the_resume(make):
+    """As on a robot, where an evaluation that waits for it ends when the run is to end."""
+
+    def followed(trainer):
+        metrics = read_metrics(trainer.run_dir)
+        return [step for step, _ in metrics["eval/drift/return"]]
+
+    first = make("run")
+    follow = first.acceptance.follow
+
+    def broken_off(env_steps):
+        if env_steps == 80:
+            raise Interrupted(signal.SIGINT)
+        return follow(env_steps)
+
+    first.acceptance.follow = broken_off
+    with first, pytest.raises(Interrupted):
+        first.run()
+    second = make("run")
+    second.resume()
+    run(second)
+    assert followed(second) == [0, 40, 80, 120, 160]
+    never = make("never")
+    run(never)
+    assert_same_run(second, never)

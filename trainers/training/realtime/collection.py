@@ -116,7 +116,8 @@ class RealTime(Collection):
             if self._has_made_its_steps():
                 self._follow()
                 self._publish(env_steps)
-            self._require_process()
+            if not self._runs() and self._log.refresh() < end:  # nor has it ended well since
+                self._require_process()
             time.sleep(POLL)
         self._relay()
         data = read_usable(self._log, env_steps, end, self.interface.kept)

@@ -23,7 +23,8 @@ class PolicyThread:
             itself.
 
     Attributes:
-        seconds: How long the last answer took; of one that was not waited for, how long was waited.
+        seconds: How long the last answer took; of one that did not come in
+            time, how long was waited.
     """
 
     def __init__(self, policy: TensorDictModuleBase, flush_denormals: bool) -> None:
@@ -49,6 +50,7 @@ class PolicyThread:
         """
         began = time.monotonic()
         if not self.idle:
+            self.seconds = 0.0
             return None
         self._running = self._pool.submit(self._infer, td.copy(), explores)
         try:
