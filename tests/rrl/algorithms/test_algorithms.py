@@ -310,5 +310,5 @@ def test_dropout_is_for_learning_alone(algorithm):
     assert all(torch.equal(act(), before) for _ in range(3))
     learn(agent, 4)
     assert not torch.equal(act(), before)
-    masks = {m.training for m in agent.loss.modules() if isinstance(m, nn.Dropout)}
+    masks = {m.training for m in agent.loss.actor_network.modules() if isinstance(m, nn.Dropout)}
     assert masks == {True}
