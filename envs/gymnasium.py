@@ -39,7 +39,7 @@ def gymnasium_env(
         make: A registered name, or a function that makes the environment.
         success: Says whether the task is solved in this state: the name of an entry of a step's
             ``info``, often ``success`` or ``is_success``, or a function of the environment that
-            ``make`` gave. It becomes ``success`` [1], bool.
+            ``make`` gave. It becomes ``success`` [1], bool; where ``info`` lacks it, False.
         any_time: Success stays until the next reset: an episode counts as solved if any of its
             states was. Otherwise the last one decides.
         seed: Seeds the environment, called as ``seed(env, number)`` before a reset with a seed; for
@@ -52,7 +52,7 @@ def gymnasium_env(
     Raises:
         ImportError: If Gymnasium is not installed.
         TypeError: If ``make`` gives no Gymnasium environment, or a vector of them.
-        KeyError: If a step's ``info`` lacks the entry that ``success`` names.
+        KeyError: If an episode ends whose ``info`` never had the entry that ``success`` names.
     """
     try:
         import gymnasium
@@ -62,7 +62,7 @@ def gymnasium_env(
     class Reporting(gymnasium.Wrapper):
         """Seeds, writes ``success`` into every ``info``, tells the state for videos."""
 
-        solved = False
+        solved, told = False, False
 
         def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, Any]:
             if seed is None or seed_env is None:
@@ -70,14 +70,20 @@ def gymnasium_env(
             else:
                 seed_env(env, seed)
                 observation, info = self.env.reset(options=options)
-            self.solved = False
+            self.solved, self.told = False, False
             return observation, {**info, SUCCESS: self.solved}
 
         def step(self, action: Any) -> tuple[Any, ...]:
             *outcome, info = self.env.step(action)
             if success is not None:
-                solved = _is_solved(success, env, info)
-                self.solved = solved or (any_time and self.solved)
+                self.told = self.told or callable(success) or success in info
+                if not self.told and any(outcome[2:]):
+                    raise KeyError(
+                        f"success: expected an entry of info by the episode's end, which has "
+                        f"{sorted(info)}, got {success!r}"
+                    )
+                solved = success(env) if callable(success) else info.get(success, False)
+                self.solved = bool(solved) or (any_time and self.solved)
             return (*outcome, {**info, SUCCESS: self.solved})
 
         def physics_state(self) -> Any:
@@ -98,16 +104,6 @@ def gymnasium_env(
     if success is not None:
         wrapped.set_info_dict_reader(_SuccessReader())
     return wrapped
-
-
-def _is_solved(success: Success, env: Any, info: dict[str, Any]) -> bool:
-    if callable(success):
-        return bool(success(env))
-    if success not in info:
-        raise KeyError(
-            f"success: expected an entry of info, which has {sorted(info)}, got {success!r}"
-        )
-    return bool(info[success])
 
 
 class _SuccessReader(BaseInfoDictReader):

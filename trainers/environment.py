@@ -24,6 +24,7 @@ from rrl.transforms import (
 )
 
 from .conversions import convert
+from .descriptions import plain
 from .entry_checks import check_action, check_factory, check_reported, make_native
 from .input_entries import as_inputs, read_inputs
 from .metric import Metric
@@ -103,6 +104,12 @@ class EnvironmentFactory:
     def with_overrides(self, **overrides: Any) -> EnvironmentFactory:
         """Return the same chain on a base environment with other arguments (another scenario)."""
         return replace(self, base=partial(self.base, **overrides))
+
+    def described(self) -> dict[str, Any]:
+        """Return what the environment is made of and with, in plain JSON and without modules."""
+        fields = ["base", "controller", "disturbances", "sensing", "safety", "residual_scale"]
+        fields += ["batching", "max_episode_steps", "action_history", "symmetries"]
+        return {name: plain(getattr(self, name), modules=False) for name in fields}
 
     def make(self, num_envs: int = 1, *, operated: bool = False) -> ResumableEnv:
         """Build the environment with ``num_envs`` slots.

@@ -133,9 +133,25 @@ def test_a_step_before_the_first_reset_is_as_the_environment_has_it() -> None:
 
 
 def test_success_that_info_lacks() -> None:
-    env = gymnasium_env(Reach, success="success")
-    with pytest.raises(KeyError, match=r"info, which has \['is_success'\], got 'success'"):
-        env.rollout(1)
+    env = gymnasium_env(Reach, success="success", max_episode_steps=5)
+    assert not env.rollout(4)["next", "success"].any()
+    with pytest.raises(KeyError, match=r"end, which has .*'is_success'.*, got 'success'"):
+        env.rollout(20)
+
+
+class SaysItLate(gymnasium.Wrapper):
+    """Says whether it succeeded when the episode is over."""
+
+    def step(self, action):
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        info = {"is_success": True} if truncated else {}
+        return observation, reward, terminated, truncated, info
+
+
+def test_success_that_info_has_at_the_end_alone() -> None:
+    make = lambda: SaysItLate(gymnasium.wrappers.TimeLimit(Reach(), 3))  # noqa: E731
+    rollout = gymnasium_env(make, success="is_success").rollout(10)
+    assert rollout["next", "success"].flatten().tolist() == [False, False, True]
 
 
 @pytest.mark.parametrize("make", [Reach, "Pendulum-v1"], ids=["function", "name"])

@@ -57,8 +57,9 @@ def train(config: assembly.Config, run_dir: Path, console: Output, *, resume: bo
         try:
             _train(config, trainer, console)
         except Exception:
-            command = f"rrl train resume={shlex.quote(str(run_dir))}"
-            console.say(f"the run is on disk; to go on with it:\n  {command}")
+            if trainer.env_steps:
+                command = f"rrl train resume={shlex.quote(str(run_dir))}"
+                console.say(f"the run is on disk; to go on with it:\n  {command}")
             raise
     finally:
         trainer.close()

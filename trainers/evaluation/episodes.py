@@ -34,6 +34,7 @@ class Episodes:
         metrics: What the environment wrote under ``("metrics", NAME)``, reduced over the episode.
         limited: Numbers of steps in which each safety limit changed the action, by limit.
         declared: What the environment says of its metrics, by name: budget and limit, if any.
+        cut: Whether one was cut off that the environment would have gone on with.
     """
 
     returns: NDArray[np.float64]
@@ -43,6 +44,7 @@ class Episodes:
     metrics: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     limited: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
     declared: Mapping[str, Metric] = field(default_factory=dict)
+    cut: bool = False
 
     @property
     def keeps_budgets(self) -> bool:

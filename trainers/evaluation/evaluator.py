@@ -9,7 +9,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
 from ..environment import EnvironmentFactory
-from ..requests import Requests
+from ..requests import Requests, stop_of
 from ..resumable_env import ResumableEnv
 from ..seeds import Stream, first_seed
 from ..settings import EvaluationSettings
@@ -97,6 +97,20 @@ class Evaluator:
             self._play(alone, scenario, seed, episodes),
         )
 
+    def try_out(self) -> None:
+        """Play a step of every simulated scenario: what is wrong with one is found before training.
+
+        Raises:
+            RuntimeError: If one cannot be played; the message names it.
+        """
+        for scenario, factory in self.scenarios.items():
+            try:
+                env = self._env(scenario, FEW)
+                if stop_of(env) is None:
+                    run_episodes(env, zero_residual(env), 1, 0, 1, factory.metrics)
+            except Exception as error:
+                raise RuntimeError(f"scenario {scenario}: {error}") from error
+
     def side_by_side(self, scenario: str, at_most: int) -> int:
         """Return how many episodes of a scenario are played at a time."""
         native = self.scenarios[scenario].batching == "native"
@@ -132,20 +146,25 @@ class Evaluator:
         while self._envs:
             self._envs.popitem()[1].close()
 
-    def _compare_limit(self, scenario: str, episodes: Episodes) -> None:
-        """Say once if all episodes end together, before the limit that settings derive from."""
-        shortest, longest = int(episodes.lengths.min()), int(episodes.lengths.max())
-        limit = self.scenarios[scenario].max_episode_steps
-        if len(episodes.lengths) > 1 and shortest == longest < limit and not self._compared:
-            self._compared = True
-            log.warning(
-                "max_episode_steps: expected the length of an episode, from which discount, "
-                "warm-up and the price of the residual are derived, got %d; all %d episodes of the "
-                "controller ended after %d steps",
-                limit,
-                len(episodes.lengths),
-                longest,
-            )
+    def _compare_limit(self, scenario: str, played: Episodes) -> None:
+        """Say once if the episodes have another length than the one that settings derive from."""
+        limit, lengths = self.scenarios[scenario].max_episode_steps, played.lengths
+        together = len(lengths) > 1 and lengths.min() == lengths.max() < limit
+        if self._compared or not (together or played.cut):
+            return
+        self._compared = True
+        found = (
+            "episodes that the environment would go on with are cut off in evaluations, and not in "
+            "training; let it end them"
+            if played.cut
+            else f"all {len(lengths)} episodes of the controller ended after {lengths[0]} steps"
+        )
+        log.warning(
+            "max_episode_steps: expected the length of an episode, from which discount, warm-up "
+            "and the price of the residual are derived, got %d; %s",
+            limit,
+            found,
+        )
 
     def _play(
         self, policy: TensorDictModuleBase, scenario: str, seed: int, episodes: int

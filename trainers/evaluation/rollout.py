@@ -138,11 +138,13 @@ def run_episodes(
             are missing get the mean.
     """
     slots = max(env.batch_size.numel(), 1)
-    parts = []
+    parts, cut = [], False
     for first in range(0, num_episodes, slots):
         kept = min(slots, num_episodes - first)
         with isolated_generators(seed + first):
             _, *steps = whole(env, partial(rollout, env, policy, seed + first, max_steps, kept))
+        last, mask = steps[-1]
+        cut |= bool((mask & ~last["done"].reshape(slots))[:kept].any())
         running = np.stack([mask[:kept].numpy() for _, mask in steps])  # (T, kept)
         parts.append(_reduced([_entries(td, kept) for td, _ in steps], running, metrics or {}))
     columns = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
@@ -159,6 +161,7 @@ def run_episodes(
         named(METRICS),
         {limit: count.astype(np.int64) for limit, count in named(SAFETY).items()},
         metrics or {},
+        cut,
     )
 
 

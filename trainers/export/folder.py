@@ -18,10 +18,11 @@ from rrl.deploy.contract import ARCHIVE, COMMAND, CONTRACT, FORMAT, MODEL, diges
 from rrl.deploy.policy import onnx_graph
 from rrl.keys import ACTION, BASE_ACTION
 
+from ..descriptions import named, plain
 from ..environment import EnvironmentFactory
 from ..storage.versions import versions
 from .chain import Chain
-from .described import array, bounds, left_out, named, plain
+from .described import array, bounds, left_out
 from .rehearsal import Rehearsal
 from .traced import trace
 

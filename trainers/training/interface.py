@@ -12,7 +12,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.transforms import InitTracker
 
 from rrl.inputs import Input, channels_of
-from rrl.keys import ACTION, METRICS, SO_FAR
+from rrl.keys import ACTION, BASE_ACTION, METRICS, SO_FAR
 from rrl.slot_random import seed_env
 from rrl.transforms import EpisodeValue, FiniteObservation
 
@@ -113,7 +113,7 @@ def prepare(
         env.append_transform(EpisodeValue(reductions))
     costs = tuple((SO_FAR, name) for name in constrained)
     interface = replace(interface_of(environment, env), costs=costs)
-    env.append_transform(FiniteObservation(interface.kept))
+    env.append_transform(FiniteObservation(list(dict.fromkeys([*interface.kept, BASE_ACTION]))))
     size = _transition_bytes(env, interface) // settings.num_envs
     acted = record_bytes(env) if settings.collection == "realtime" else 0
     return env, replace(interface, room=(size, size + acted)), explore

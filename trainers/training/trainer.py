@@ -47,9 +47,7 @@ log = logging.getLogger(__name__)
 
 
 class Trainer(AbstractContextManager["Trainer"]):
-    """Trains one residual policy. In a ``with`` statement it closes itself.
-
-    What is left out is what ``rrl train`` uses.
+    """Trains one residual policy, if nothing else is given as ``rrl train`` does.
 
     Args:
         settings: How long, how often, how many.
@@ -82,7 +80,8 @@ class Trainer(AbstractContextManager["Trainer"]):
         lengths = saved_note(self.run_dir).get("lengths")
         self.settings = settings = given.derived(environment.max_episode_steps, lengths)
         self.loggers = [Guarded(g) for g in ([CSVLogger()] if loggers is None else loggers)]
-        self.config = as_json(config or {"trainer": given.model_dump()})
+        made_here = {"trainer": given.model_dump(), "environment": environment.described()}
+        self.config = as_json(config or made_here)
         self.interruption, self.stopwatch, self.profile = Interruption(), Stopwatch(), Profile()
         self.progress = progress or Progress.silent()
         settings.check_operator(environment.intervention is not None)
@@ -180,6 +179,8 @@ class Trainer(AbstractContextManager["Trainer"]):
             FloatingPointError: If losses or parameters are not finite; the checkpoint before stays.
         """
         self.require_new_or_resumed()
+        if self.settings.collection != "realtime":  # there the robot is another process's
+            self.evaluator.try_out()
         GlobalRNGState().load_state_dict(self._generators)
         for logger in self.loggers:
             logger.start(self.run_dir, self.config, self.env_steps)
@@ -211,15 +212,13 @@ class Trainer(AbstractContextManager["Trainer"]):
 
     def close(self) -> None:
         """Finish the loggers and close the environments, even those that no longer answer."""
-        for logger in self.loggers:
-            logger.finish()
-        self.store.close()
-        for close in (self.evaluator.close, self.collection.close):
+        parts = self.store, self.evaluator, self.collection
+        ends = [logger.finish for logger in self.loggers] + [part.close for part in parts]
+        for end in (*ends, self.checkpoints.release):
             try:
-                close()
+                end()
             except Exception as error:
                 log.warning("closing failed: %s", error)
-        self.checkpoints.release()  # last: another learner would find what is about to end
 
     def __exit__(self, *error: object) -> None:
         self.close()

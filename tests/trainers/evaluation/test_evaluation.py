@@ -228,3 +228,18 @@ def test_a_limit_that_no_episode_comes_near_is_named_once(factory, limit, warnin
     said = [r.getMessage() for r in caplog.records if "max_episode_steps" in r.getMessage()]
     assert len(said) == warnings
     assert all("got 50; all 3 episodes of the controller ended after 20 steps" in s for s in said)
+
+
+def test_a_limit_that_cuts_episodes_off_is_named(factory, caplog):
+    evaluator = Evaluator({"one": replace(factory, max_episode_steps=10)}, EvaluationSettings())
+    evaluator.compare(ZERO, "one", Stream.FOLLOWING, 3)
+    evaluator.close()
+    assert "got 10; episodes that the environment would go on with are cut off" in caplog.text
+
+
+def test_a_scenario_that_cannot_be_played_is_named(factory):
+    wrong = factory.with_overrides(drfit=0.1)
+    evaluator = Evaluator({"one": factory, "two": wrong}, EvaluationSettings())
+    with pytest.raises(RuntimeError, match=r"scenario two: .*drfit"):
+        evaluator.try_out()
+    evaluator.close()

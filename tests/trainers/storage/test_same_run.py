@@ -8,9 +8,11 @@ from pathlib import Path
 import pytest
 
 from rrl.algorithms import TD3, mlp
+from rrl.controllers import ZeroController
 from rrl.trainers import Input, Trainer
 from rrl.trainers.settings import CheckpointSettings
 from rrl.trainers.storage.same_run import differences, require_same_run
+from rrl.transforms import FiniteAction, StepLimit
 from runs import assert_same, run
 
 
@@ -52,6 +54,21 @@ POSITION, GOAL = "end_effector_position", "goal"
     ],
 )
 def test_other_inputs_are_refused(stopped, make, simulated, changes, line):
+    trainer = make(environment=replace(simulated, **changes))
+    with trainer, pytest.raises(ValueError, match=f"not the configuration .*\n  {line}"):
+        trainer.resume()
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        ({"residual_scale": 0.9}, r"environment.residual_scale: .* -> 0.9"),
+        ({"controller": partial(ZeroController, action_size=2)}, r"environment.controller"),
+        ({"max_episode_steps": 21}, r"environment.max_episode_steps: .* -> 21"),
+        ({"safety": [FiniteAction, partial(StepLimit, 0.5)]}, r"environment.safety"),
+    ],
+)
+def test_another_environment_is_refused_in_python_too(stopped, make, simulated, changes, line):
     trainer = make(environment=replace(simulated, **changes))
     with trainer, pytest.raises(ValueError, match=f"not the configuration .*\n  {line}"):
         trainer.resume()

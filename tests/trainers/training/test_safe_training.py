@@ -6,13 +6,17 @@ training and evaluation.
 
 import csv
 import math
+from dataclasses import replace
+from functools import partial
 
+import numpy as np
 import pytest
 import torch
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 from torchrl.envs.utils import step_mdp
 
+from rrl.controllers import FunctionController
 from rrl.envs import InsertionEnv
 from rrl.trainers.configuration import build as assembly
 
@@ -122,3 +126,15 @@ def test_training_exceeds_no_limit_even_towards_harm(variant, monkeypatch, tmp_p
         logged = {row["metric"] for row in csv.DictReader(file)}
     assert {"safety/workspace", "safety/force", "safety/step"} <= logged
     assert {f"eval/{first}/safety_{name}" for name in ("workspace", "force", "step")} <= logged
+
+
+def nothing(position):
+    return np.full(2, np.nan)
+
+
+def test_a_controller_that_gives_no_numbers_ends_the_run_with_its_name(make_trainer, factory):
+    """Though the policy does not read what the controller says."""
+    broken = partial(FunctionController, nothing, ["end_effector_position"])
+    trainer = make_trainer("run", environment=replace(factory, controller=broken))
+    with trainer, pytest.raises(FloatingPointError, match="base_action: expected finite numbers"):
+        trainer.run()
