@@ -51,7 +51,8 @@ def gymnasium_env(
 
     Raises:
         ImportError: If Gymnasium is not installed.
-        TypeError: If ``make`` gives no Gymnasium environment, or a vector of them.
+        TypeError: If ``make`` is an environment already, or gives no Gymnasium environment or a
+            vector of them.
         KeyError: If an episode ends whose ``info`` never had the entry that ``success`` names.
     """
     try:
@@ -89,6 +90,12 @@ def gymnasium_env(
         def physics_state(self) -> Any:
             return (state or mujoco_state)(env)
 
+    if isinstance(make, gymnasium.Env) or not (isinstance(make, str) or callable(make)):
+        got = "an environment" if hasattr(make, "step") else f"a {type(make).__name__}"
+        raise TypeError(
+            f"make: expected a name or a function that makes it, got {got}; every slot has an "
+            "environment of its own"
+        )
     seed_env = seed
     if isinstance(make, str):
         env = gymnasium.make(make, max_episode_steps=max_episode_steps, **arguments)

@@ -7,9 +7,11 @@ from numbers import Real
 from typing import Any
 
 import torch
-from tensordict import NestedKey, TensorDictBase
+from tensordict import NestedKey, TensorDictBase, unravel_key
 from torch import Tensor
 from torchrl.data import Composite
+
+from rrl.keys import INTERVENTION, SAFETY, SO_FAR
 
 __all__ = [
     "check",
@@ -22,6 +24,9 @@ __all__ = [
     "per_dimension",
     "require",
 ]
+
+_OWN = (SAFETY, SO_FAR, INTERVENTION, "_given")
+"""Groups of entries that transforms of this package write."""
 
 
 def check(name: str, value: object, expected: str, fine: bool) -> None:
@@ -112,16 +117,36 @@ def missing(owner: Any, method: str) -> NotImplementedError:
 
 
 def require(
-    owner: Any, entries: TensorDictBase | Composite, key: NestedKey, remedy: str = ""
+    owner: Any,
+    entries: TensorDictBase | Composite,
+    key: NestedKey,
+    remedy: str = "",
+    *,
+    group: bool = False,
 ) -> Any:
     """Return an entry of a TensorDict, or the spec of one.
 
     Raises:
-        KeyError: If there is no such entry; the message says who needs it and what there is.
+        KeyError: If there is no such entry; the message says who needs it and what there is, but
+            for what this package writes for itself.
+        TypeError: If it is a group of entries, unless ``group`` says that it may be one.
     """
-    value = entries.get(key, None)
+    value, root = entries.get(key, None), _root(key)
+    name = owner if isinstance(owner, str) else type(owner).__name__
     if value is None:
-        present = sorted(map(str, entries.keys(True, True)))
-        name = owner if isinstance(owner, str) else type(owner).__name__
+        present = [k for k in _sorted(entries) if _root(k) not in _OWN or _root(k) == root]
         raise KeyError(f"{name}: expected the entry {key!r}, got {present}{remedy}")
+    if not group and isinstance(value, (TensorDictBase, Composite)):
+        inside = [unravel_key((key, k)) for k in _sorted(value)]
+        raise TypeError(
+            f"{name}: expected the entry {key!r} to be a tensor, got a group with {inside}"
+        )
     return value
+
+
+def _sorted(entries: TensorDictBase | Composite) -> list[NestedKey]:
+    return sorted(entries.keys(True, True), key=str)
+
+
+def _root(key: NestedKey) -> str:
+    return key if isinstance(key, str) else key[0]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import torch
@@ -28,6 +30,7 @@ def check_factory(fields: Mapping[str, Any]) -> None:
     Raises:
         TypeError: If one of them is a part instead of what makes it, or inputs are a single name.
     """
+    _check_controller(fields["controller"])
     for name, given in fields.items():
         for part in given if isinstance(given, (list, tuple)) else [given]:
             if isinstance(part, nn.Module):
@@ -38,6 +41,33 @@ def check_factory(fields: Mapping[str, Any]) -> None:
     for name in ("inputs", "critic_inputs"):
         if isinstance(given := fields[name], str):
             raise TypeError(f"{name}: expected names in a list, got {given!r}; write [{given!r}]")
+
+
+def _check_controller(given: Any) -> None:
+    """Refuse a function of observations, or an object, in the place of what makes a controller."""
+    if given is None or isinstance(given, nn.Module):  # unused, or refused below
+        return
+    function = given
+    while isinstance(function, partial):
+        function = function.func
+    if callable(given) and (isinstance(function, type) or not _needs_arguments(given)):
+        return
+    name = getattr(function, "__name__", "")
+    got = f"the function {name}" if name else f"a {type(function).__name__}"
+    raise TypeError(
+        f"controller: expected what makes a controller, got {got}; write "
+        f"functools.partial(FunctionController, {name if name.isidentifier() else '...'}), or in "
+        "YAML _target_: rrl.controllers.FunctionController with it under function:"
+    )
+
+
+def _needs_arguments(function: Callable[..., Any]) -> bool:
+    try:
+        parameters = inspect.signature(function).parameters.values()
+    except ValueError:  # it has no signature, or one that its arguments do not fit
+        return False
+    many = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    return any(p.default is p.empty and p.kind not in many for p in parameters)
 
 
 def make_native(base: Callable[..., EnvBase], num_envs: int) -> EnvBase:

@@ -54,7 +54,11 @@ class Controller(TensorDictModuleBase):
 
     def read(self, tensordict: TensorDictBase, key: NestedKey) -> Tensor:
         """Return an entry, or raise a KeyError that says what there is instead."""
-        return require(self, tensordict, key)
+        return require(self.called(), tensordict, key)
+
+    def called(self) -> str:
+        """Return what messages call it: the name of its class."""
+        return type(self).__name__
 
     def fit(self, shape: torch.Size) -> None:
         """Learn the shape ``[n_act]`` of a slot's action before the first call.

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+import inspect
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import Any, NoReturn
 
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
 
 from rrl.controllers.base import State, StatefulController
+from rrl.controllers.plain_memory import check_memory, remember, remembered
 from rrl.keys import BASE_ACTION
 
 __all__ = ["FunctionController"]
@@ -23,7 +26,9 @@ class FunctionController(StatefulController):
     A function is called once for each slot with the values of ``in_keys``, without batch
     dimensions. An object that has ``reset()`` has a memory: every slot gets a copy of its own,
     whose ``reset()`` is called when an episode starts. Its memory is part of ``state_dict``: what
-    its own ``state_dict()`` says, else its attributes.
+    its own ``state_dict()`` says, which ``load_state_dict()`` takes back, else its attributes.
+    These may be tensors, arrays, numbers, text, lists, tuples, dictionaries, deques and
+    ``numpy.random.Generator``. No gradient passes it.
 
     Args:
         function: A callable, or an object with ``act``; a class, or a partial of one, is called
@@ -34,9 +39,11 @@ class FunctionController(StatefulController):
         out_key: Where the action ``[*batch, n_act]`` goes.
 
     Raises:
-        TypeError: If ``function`` cannot be called, or has a memory that it does not show.
+        TypeError: If ``function`` cannot be called, or has a memory that it does not show or that
+            cannot be saved; when run, if what it returns is no array of numbers.
         ValueError: If ``batched`` is asked for an object with a memory; when run, if what it
             returns is not one action a slot.
+        Exception: When run, what ``function`` raises, with its name in front.
     """
 
     def __init__(
@@ -62,14 +69,21 @@ class FunctionController(StatefulController):
                 "batched: expected a function without memory, got an object with reset(), which "
                 "every slot needs a copy of"
             )
-        keeps_attributes = hasattr(function, "__dict__") or hasattr(function, "state_dict")
-        if self.remembers and not keeps_attributes:
-            raise TypeError(
-                "function: expected an object with attributes or state_dict(), got "
-                f"{_name(function)} with __slots__; give it state_dict() and load_state_dict()"
-            )
+        if self.remembers:
+            check_memory(_name(function), function)
         self._function, self._batched, self._numpy = function, batched, numpy
         self._slots: list[Any] = []  # copies of the object, one a slot, flattened
+
+    @property
+    def outside_torch(self) -> str | None:
+        """What keeps it from being recorded as a graph; None: nothing that is known."""
+        if self.remembers:
+            return "remembers outside torch"
+        return "calls NumPy" if self._numpy else None
+
+    def called(self) -> str:
+        """Return the name of the function or of the object's class."""
+        return _name(self._function)
 
     def initial_state(self, tensordict: TensorDictBase) -> State:
         """Return nothing: the objects hold their memory themselves."""
@@ -82,16 +96,19 @@ class FunctionController(StatefulController):
         if self._batched:
             return self._call(self._function, values)
         flat = [value.reshape(batch.numel(), *value.shape[len(batch) :]) for value in values]
+        unused = self.remembers and len(self._slots) != batch.numel()
         rows = [
             self._call(function, [value[i] for value in flat])
             for i, function in enumerate(self._functions(batch))
         ]
-        action = torch.stack(rows)
-        if action.ndim < 2:
+        if unused:  # what it remembers shows when it has acted
+            self.get_extra_state()
+        shapes = {tuple(row.shape): None for row in rows}
+        if () in shapes or len(shapes) > 1:
             raise ValueError(
-                f"{_name(self._function)}: expected an action of shape [n_act], "
-                f"got {tuple(action.shape[1:])}"
+                f"{self.called()}: expected an action of shape [n_act], got {_joined(shapes)}"
             )
+        action = torch.stack(rows)
         return action.reshape(batch + action.shape[1:])
 
     def reset_state(self, mask: Tensor | None) -> None:
@@ -119,13 +136,15 @@ class FunctionController(StatefulController):
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return what the objects remember."""
-        return {"slots": [_remembered(slot) for slot in self._slots], "fresh": self._fresh}
+        name, given = self.called(), self._function
+        slots = [remembered(name, slot, given) for slot in self._slots]
+        return {"slots": slots, "fresh": self._fresh}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Take what the objects remember from a ``state_dict``."""
-        self._slots = [copy.deepcopy(self._function) for _ in state["slots"]]
-        for slot, remembered in zip(self._slots, state["slots"], strict=True):
-            _remember(slot, remembered)
+        self._slots = self._copies(len(state["slots"]))
+        for slot, memory in zip(self._slots, state["slots"], strict=True):
+            remember(slot, memory)
         self._fresh = state["fresh"]
 
     def __deepcopy__(self, memo: dict[int, Any]) -> FunctionController:
@@ -143,18 +162,40 @@ class FunctionController(StatefulController):
             return [self._function] * batch.numel()
         fresh = self._fresh
         if len(self._slots) != batch.numel():
-            self._slots = [copy.deepcopy(self._function) for _ in range(batch.numel())]
+            self._slots = self._copies(batch.numel())
             fresh = torch.ones(batch, dtype=torch.bool)
         if fresh is not None:
             for i in fresh.flatten().nonzero().flatten().tolist():
-                self._slots[i].reset()
+                try:
+                    self._slots[i].reset()
+                except Exception as error:
+                    _raise_named(self.called(), error)
             self._fresh = None
         return self._slots
+
+    def _copies(self, number: int) -> list[Any]:
+        try:
+            return [copy.deepcopy(self._function) for _ in range(number)]
+        except TypeError as error:
+            raise TypeError(
+                f"controller {self.called()}: expected an object that can be copied, one for each "
+                f"slot, got one of which Python says: {error}; give it __deepcopy__()"
+            ) from error
 
     def _call(self, function: Any, values: Sequence[Tensor]) -> Tensor:
         # Copies: some functions write into their arguments.
         given = [_array(value) if self._numpy else value.clone() for value in values]
-        action = torch.as_tensor(getattr(function, "act", function)(*given))
+        try:
+            said = getattr(function, "act", function)(*given)
+        except Exception as error:
+            _raise_named(self.called(), error)
+        try:
+            action = torch.as_tensor(said).detach()
+        except (TypeError, ValueError, RuntimeError) as error:
+            shape = "[*batch, n_act]" if self._batched else "[n_act]"
+            raise TypeError(
+                f"{self.called()}: expected an action of shape {shape}, got {_described(said)}"
+            ) from error
         return action.to(values[0].device) if values else action
 
 
@@ -166,21 +207,43 @@ def _array(value: Tensor) -> Any:
 
 
 def _name(function: Any) -> str:
-    return getattr(function, "__name__", type(function).__name__)
+    """Return what messages call a function or an object."""
+    if isinstance(function, partial):
+        return _name(function.func)
+    if inspect.ismethod(function):
+        return f"{type(function.__self__).__name__}.{function.__name__}"
+    name = getattr(function, "__name__", type(function).__name__)
+    if name == "<lambda>":
+        code = function.__code__
+        return f"the lambda in {Path(code.co_filename).name}:{code.co_firstlineno}"
+    return name
 
 
-def _has_own_memory(slot: Any) -> bool:
-    """Return whether an object saves and restores itself; one method alone does not do."""
-    methods = ("state_dict", "load_state_dict")
-    return all(callable(getattr(slot, name, None)) for name in methods)
+def _described(said: Any) -> str:
+    """Return what a function said where an action was expected."""
+    if said is None or isinstance(said, str):
+        return repr(said)
+    if isinstance(said, (tuple, list)):
+        inside = ", ".join(type(item).__name__ for item in said)
+        return f"a {type(said).__name__} of {inside or 'nothing'}"
+    return f"a {type(said).__name__}"
 
 
-def _remembered(slot: Any) -> Any:
-    return slot.state_dict() if _has_own_memory(slot) else copy.deepcopy(vars(slot))
+def _joined(shapes: Iterable[tuple[int, ...]]) -> str:
+    return " and ".join(str(shape) for shape in shapes)
 
 
-def _remember(slot: Any, remembered: Any) -> None:
-    if _has_own_memory(slot):
-        slot.load_state_dict(remembered)
-    elif isinstance(remembered, Mapping):
-        vars(slot).update(copy.deepcopy(dict(remembered)))
+def _raise_named(name: str, error: Exception) -> NoReturn:
+    """Raise an error again with a controller's name; as a RuntimeError if its text is not its own.
+
+    Raises:
+        Exception: Always.
+    """
+    kind = "" if str(error) and not isinstance(error, KeyError) else f"{type(error).__name__}: "
+    text = f"controller {name}: {kind}{error}".removesuffix(": ")
+    if all(isinstance(argument, str) for argument in error.args) and len(error.args) < 2:
+        before, error.args = error.args, (text,)
+        if name in str(error):
+            raise error
+        error.args = before
+    raise RuntimeError(text) from error

@@ -12,6 +12,7 @@ from tensordict import NestedKey, TensorDict, TensorDictBase, unravel_key
 from torch import Tensor, nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from rrl.checks import require
 from rrl.controllers.base import Controller
 from rrl.keys import ACTION, BASE_ACTION
 
@@ -84,7 +85,7 @@ class PolicyController(Controller):
         seen = TensorDict({}, batch_size=tensordict.batch_size, device=tensordict.device)
         weight = next(filter(torch.is_floating_point, self.policy.parameters()), None)
         for policy_key, key in zip(self._policy_keys, self.in_keys, strict=True):
-            value = self.read(tensordict, key)
+            value = require(self, tensordict, key, group=True)
             if weight is not None and isinstance(value, Tensor) and value.is_floating_point():
                 value = value.to(weight.dtype)
             seen.set(policy_key, value)

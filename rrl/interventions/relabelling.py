@@ -32,7 +32,7 @@ def relabel_interventions(data: TensorDictBase, action_key: NestedKey = ACTION) 
     """
     key = sibling(action_key, INTERVENTION)
     remedy = "; is there an Intervention among the environment's transforms?"
-    step = require("relabel_interventions", data, unravel_key(("next", key)), remedy)
+    step = require("relabel_interventions", data, unravel_key(("next", key)), remedy, group=True)
     said = data.get(action_key)
     data.set(action_key, torch.where(step["active"], step["action"].to(said), said))
     data.set(sibling(action_key, INTERVENED), step["active"])

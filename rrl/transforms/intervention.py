@@ -202,7 +202,7 @@ class Intervention(ActionTransform):
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the two flags and the residual that would have given the command."""
         for key in self.in_keys:
-            require(self.operator, observation_spec, key)
+            require(self.operator, observation_spec, key, group=True)
         limits, device = self.limits(), self.limits().low.device
         for key in self.out_keys[:2]:
             flag = Binary(n=1, shape=(*limits.shape[:-1], 1), dtype=torch.bool, device=device)

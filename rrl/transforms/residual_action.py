@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDictBase, unravel_key
 from tensordict.nn import TensorDictModuleBase
-from torch import Tensor
+from torch import Tensor, nn
 from torchrl.data import Bounded, Composite
 
 from rrl.checks import check_length, per_dimension, require
@@ -55,8 +56,8 @@ class ResidualAction(ActionTransform):
         TypeError: If the controller is not a TensorDict module or the action is not continuous.
         ValueError: If a scale is negative or not finite, or the controller's action or the scale
             does not have the action's shape.
-        KeyError: If a key that the controller reads is not among the observations, or
-            ``base_action`` is missing from a step's input.
+        KeyError: If the controller does not write one of the two keys, a key that it reads is not
+            among the observations, or ``base_action`` is missing from a step's input.
         RuntimeError: If actions pass the inverse without an environment, as in
             ``ReplayBuffer.extend``.
     """
@@ -72,8 +73,7 @@ class ResidualAction(ActionTransform):
     ) -> None:
         base_key = unravel_key(base_action_key or sibling(action_key, BASE_ACTION))
         if not isinstance(controller, Controller):
-            written = getattr(controller, "out_keys", ())
-            name = base_key if base_key in written else action_key
+            name = _written(controller, base_key, unravel_key(action_key))
             controller = PolicyController(controller, action_key=name, out_key=base_key)
         super().__init__(
             action_key=action_key, in_keys=list(controller.in_keys), out_keys=[base_key]
@@ -118,7 +118,7 @@ class ResidualAction(ActionTransform):
             return {"base_action": action}
         if action.shape != limits.shape:
             raise ValueError(
-                f"{type(controller).__name__}: expected an action of shape {tuple(limits.shape)}, "
+                f"{controller.called()}: expected an action of shape {tuple(limits.shape)}, "
                 f"got {tuple(action.shape)}"
             )
         return {"base_action": action.to(limits.dtype)}
@@ -166,7 +166,7 @@ class ResidualAction(ActionTransform):
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add ``base_action``, in the environment's action units."""
         for key in self.in_keys:
-            require(self.controller, observation_spec, key)
+            require(self.controller.called(), observation_spec, key, group=True)
         return self.add_spec(
             observation_spec, self._base_key, self.action_like(), "base_action_key"
         )
@@ -179,3 +179,35 @@ class ResidualAction(ActionTransform):
         """Take scale and last base action from a ``state_dict``."""
         super().set_extra_state(state)
         self.set_scale(state["scale"])
+
+
+def _written(controller: Any, *keys: NestedKey) -> NestedKey:
+    """Return the first of ``keys`` that a module writes.
+
+    Raises:
+        TypeError: If it is no TensorDict module.
+        KeyError: If it writes none of them.
+    """
+    if not isinstance(controller, nn.Module) or not hasattr(controller, "in_keys"):
+        kind = type(controller).__name__
+        got = f"the class {controller.__name__}" if isinstance(controller, type) else f"a {kind}"
+        raise TypeError(
+            "controller: expected a Controller or a TensorDict module with in_keys and out_keys, "
+            f"got {got}; {_remedy(controller)}"
+        )
+    written = [unravel_key(key) for key in getattr(controller, "out_keys", ())]
+    for key in keys:
+        if key in written:
+            return key
+    raise KeyError(
+        f"controller: expected a module that writes {' or '.join(map(repr, keys))}, got one that "
+        f"writes {written}; name its action so, in out_keys"
+    )
+
+
+def _remedy(given: Any) -> str:
+    made = given.func if isinstance(given, partial) else given
+    if isinstance(made, type) and issubclass(made, nn.Module):
+        return "call it"
+    wrap = "wrap it in a FunctionController"
+    return f"call it if it makes one, else {wrap}" if isinstance(given, partial) else wrap

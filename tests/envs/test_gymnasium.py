@@ -217,6 +217,13 @@ def test_state_for_videos() -> None:
         reach().physics_state()
 
 
+@pytest.mark.parametrize(("given", "got"), [(Reach(), "an environment"), (3, "a int")])
+def test_what_makes_no_environment(given, got) -> None:
+    message = f"make: expected a name or a function that makes it, got {got}; every slot"
+    with pytest.raises(TypeError, match=message):
+        gymnasium_env(given, success="is_success")
+
+
 def test_what_is_no_environment() -> None:
     with pytest.raises(TypeError, match=r"one gymnasium\.Env, got a SyncVectorEnv; batching"):
         gymnasium_env(partial(gymnasium.make_vec, "Pendulum-v1", num_envs=2))

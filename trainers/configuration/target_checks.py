@@ -110,7 +110,17 @@ def _check_arguments(path: str, node: Target, given: Config | int | None) -> Pro
             yield f"{path}: {target} does not take {key!r}; it takes {', '.join(takes)}"
     for name in takes if given is not None else ():
         if parameters[name].default is inspect.Parameter.empty and name not in node:
-            yield f"{path}: {target} needs {name!r}, got {sorted(set(node) - {'_target_'})}"
+            given_names = sorted(set(node) - {"_target_"})
+            yield f"{path}: {target} needs {name!r}, got {given_names}{_remedy(path, target)}"
+
+
+def _remedy(path: str, target: str) -> str:
+    """Return what to do with a function of observations in the controller's place."""
+    if path != "controller" or not inspect.isfunction(locate(target)):
+        return ""
+    return (
+        "; if these are observations, name it under function: of rrl.controllers.FunctionController"
+    )
 
 
 def _parameters(target: Any) -> dict[str, inspect.Parameter]:

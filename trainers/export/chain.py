@@ -11,7 +11,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from rrl.controllers import Controller, StatefulController
+from rrl.controllers import Controller, FunctionController, StatefulController
 from rrl.deploy.contract import COMMAND
 from rrl.keys import ACTION, BASE_ACTION, SAFETY
 from rrl.transforms import FiniteAction
@@ -20,7 +20,7 @@ from rrl.transforms.base import SlotTransform
 from ..environment import EnvironmentFactory
 from .specs_only import SpecsOnly, chain_on
 
-__all__ = ["RESIDUAL", "Chain", "Values"]
+__all__ = ["RESIDUAL", "Chain", "StaysOutside", "Values"]
 
 Values = dict[str, Tensor]
 """Tensors without batch dimensions, by name."""
@@ -30,6 +30,10 @@ Path = tuple[str, ...]
 RESIDUAL = "residual"
 LAST, STARTS = "last", "starts"
 """Parts of the state: what the last step sent to the robot, and whether an episode starts."""
+
+
+class StaysOutside(TypeError):
+    """A controller that cannot be recorded, whatever it does."""
 
 
 class _Elsewhere(Controller):
@@ -56,6 +60,9 @@ class Chain:
         policy: From the inputs to the residual ``action``.
         with_controller: Whether the controller is inside; else ``base_action`` is an entry.
 
+    Raises:
+        StaysOutside: If the controller is to be inside and leaves torch.
+
     Attributes:
         entries: What may be read, zeros.
         initial: The state before an episode's first step.
@@ -74,12 +81,13 @@ class Chain:
         robot = SpecsOnly(like, resets_itself=True)
         outside: dict[str, Any] = {} if with_controller else {"controller": _Elsewhere}
         self._env = chain_on(robot, environment, **outside)
+        self._refuse_what_leaves_torch()
         self._policy, self._batch = policy, robot.batch_size
         self._done, self._blank = robot.done_keys, robot.blank()
         self._keys = robot.entry_keys()
         if not with_controller:
             self._keys[BASE_ACTION] = BASE_ACTION
-            self._blank[BASE_ACTION] = robot.full_action_spec[ACTION].zero()
+            self._blank[BASE_ACTION] = self._env.observation_spec[BASE_ACTION].zero()
         self.entries = {n: self._single(self._blank.get(key)) for n, key in self._keys.items()}
         self._owners = dict(self._named_owners())
         guards = [m for m in self._owners.values() if isinstance(m, FiniteAction)]
@@ -125,13 +133,20 @@ class Chain:
         told |= {".".join(path): flag for path, flag in _leaves(flags)}
         return {name: self._single(value) for name, value in told.items()}
 
+    def _refuse_what_leaves_torch(self) -> None:
+        for module in self._env.transform.modules():
+            if isinstance(module, FunctionController) and (why := module.outside_torch):
+                raise StaysOutside(f"{module.called()} {why}")
+
     # ---------------------------------------------------------------- memory
 
     def _named_owners(self) -> Iterator[tuple[str, SlotTransform | StatefulController]]:
         """Yield everything that remembers, with a name of its own."""
+        own = (SlotTransform, StatefulController)
         seen: dict[str, int] = {}
         for module in self._env.transform.modules():
-            if isinstance(module, (SlotTransform, StatefulController)):
+            # A function inside has no memory: one that remembers stays outside.
+            if isinstance(module, own) and not isinstance(module, FunctionController):
                 name = type(module).__name__
                 seen[name] = seen.get(name, 0) + 1
                 yield (name if seen[name] == 1 else f"{name}{seen[name]}"), module

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -15,13 +16,13 @@ from torchrl.envs import EnvBase
 
 from rrl.deploy.archive import module_graph
 from rrl.deploy.contract import ARCHIVE, COMMAND, CONTRACT, FORMAT, MODEL, digest, fingerprint
-from rrl.deploy.policy import onnx_graph
+from rrl.deploy.policy import Arrays, Graph, onnx_graph
 from rrl.keys import ACTION, BASE_ACTION
 
 from ..descriptions import named, plain
 from ..environment import EnvironmentFactory
 from ..storage.versions import versions
-from .chain import Chain
+from .chain import Chain, StaysOutside
 from .described import array, bounds, left_out
 from .rehearsal import Rehearsal
 from .traced import trace
@@ -93,16 +94,13 @@ def _write(
     why_outside = None
     try:
         content = _attempt(like, environment, Chain(like, environment, policy), policy, folder)
+    except StaysOutside as error:
+        why_outside = str(error)
     except Exception as error:  # recording fails in any way that a controller's code can
-        why_outside = _first_line(error)
-        try:
-            chain = Chain(like, environment, policy, with_controller=False)
-            content = _attempt(like, environment, chain, policy, folder)
-        except Exception as cause:
-            raise ValueError(
-                "the chain cannot be exported: expected transforms and a policy of torch "
-                f"operations that do not branch on numbers, got {_first_line(cause)}"
-            ) from cause
+        why_outside = _first_line(error.__cause__ or error)
+    if why_outside:
+        chain = Chain(like, environment, policy, with_controller=False)
+        content = _attempt(like, environment, chain, policy, folder)
     return {
         "format": FORMAT,
         "control_period": environment.control_period or getattr(like, "control_period", None),
@@ -121,15 +119,22 @@ def _attempt(
     policy: TensorDictModuleBase,
     folder: Path,
 ) -> dict[str, Any]:
-    """Record a chain, write both graphs and rehearse them."""
-    traced = trace(chain)
-    traced.save(folder)
+    """Record a chain, write both graphs and rehearse them.
+
+    Raises:
+        ValueError: If one of that fails; the message says which.
+    """
+    operations = "transforms and a policy of torch operations that do not branch on numbers"
+    with _failing("the chain cannot be exported", operations):
+        traced = trace(chain)
+    with _failing(f"{MODEL} cannot be written", "operations that ONNX has"):
+        traced.save(folder)
     rehearsal = Rehearsal(like, environment, policy, traced)
     program = torch.export.load(folder / ARCHIVE)
-    graphs = {
-        MODEL: onnx_graph(folder / MODEL),
-        ARCHIVE: module_graph(program.module(), traced.inputs, traced.outputs),
-    }
+    with _failing(f"{MODEL} cannot be loaded", "what onnxruntime takes"):
+        model = onnx_graph(folder / MODEL)
+    module = module_graph(program.module(), traced.inputs, traced.outputs)
+    graphs = {MODEL: _running(MODEL, model), ARCHIVE: _running(ARCHIVE, module)}
     differences = {name: rehearsal.difference(graph) for name, graph in graphs.items()}
     for name, difference in differences.items():
         if difference > TOLERANCE:
@@ -163,7 +168,26 @@ def _attempt(
     }
 
 
-def _first_line(error: Exception) -> str:
+@contextmanager
+def _failing(what: str, expected: str) -> Iterator[None]:
+    """Say what has failed."""
+    try:
+        yield
+    except Exception as error:  # exporters and runtimes have errors of many kinds
+        raise ValueError(f"{what}: expected {expected}, got {_first_line(error)}") from error
+
+
+def _running(name: str, graph: Graph) -> Graph:
+    """Return a graph that says which one it is when it fails."""
+
+    def run(values: Arrays) -> Arrays:
+        with _failing(f"{name} does not run", "a step with the entries and the state"):
+            return graph(values)
+
+    return run
+
+
+def _first_line(error: BaseException) -> str:
     text = str(error).strip().partition("\n")[0]
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 

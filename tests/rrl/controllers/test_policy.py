@@ -145,6 +145,15 @@ def test_a_recurrent_policy_is_refused_because_nothing_would_keep_its_memory() -
         PolicyController(recurrent)
 
 
-def test_missing_key_is_named() -> None:
-    with pytest.raises(KeyError, match="PolicyController: expected the entry 'goal'"):
-        PolicyController(make_policy()).act(data().exclude("goal"))
+def test_missing_key_is_named_beside_what_can_be_copied() -> None:
+    entries = TensorDict({"arm": {"goal": torch.zeros(4, 2), "flat": torch.zeros(4)}}, [4])
+    entries["x"], entries["safety", "step"] = torch.zeros(4, 2), torch.zeros(4, 1)
+    there = r"\[\('arm', 'flat'\), \('arm', 'goal'\), 'x'\]"
+    with pytest.raises(KeyError, match=f"PolicyController: expected the entry 'goal', got {there}"):
+        PolicyController(make_policy("x", "goal")).act(entries)
+
+
+def test_a_policy_may_read_a_group() -> None:
+    module = TensorDictModule(lambda arm: 0.5 * arm["x"], in_keys=["arm"], out_keys=["action"])
+    entries = TensorDict({"arm": {"x": torch.ones(4, 2)}}, [4])
+    assert (PolicyController(module).act(entries) == 0.5).all()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -228,9 +230,31 @@ def test_controller_of_the_wrong_size() -> None:
         env.reset()
 
 
-def test_not_a_controller() -> None:
-    with pytest.raises(TypeError, match="TensorDict module"):
-        ResidualAction(nn.Linear(2, 2))  # knows no keys
+def towards(position):
+    return -position
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (nn.Linear(2, 2), "got a Linear; wrap it in a FunctionController"),  # knows no keys
+        (towards, "got a function; wrap it in a FunctionController"),
+        (partial(towards), "got a partial; call it if it makes one, else wrap it in a Function"),
+        (ZeroController, "got the class ZeroController; call it"),
+        (partial(ZeroController, 2), "got a partial; call it$"),
+    ],
+)
+def test_not_a_controller(given, message) -> None:
+    with pytest.raises(TypeError, match=f"^controller: expected .* TensorDict module .*{message}"):
+        ResidualAction(given)
+
+
+def test_a_module_that_writes_no_action() -> None:
+    module = TensorDictModule(nn.Linear(2, 2), in_keys=["goal"], out_keys=["u"])
+    with pytest.raises(
+        KeyError, match=r"controller: .* 'base_action' or 'action', .* \['u'\]; name"
+    ):
+        ResidualAction(module)
 
 
 def test_discrete_action() -> None:

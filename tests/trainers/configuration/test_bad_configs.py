@@ -62,6 +62,10 @@ BROKEN = {
         "operator.intervention",
         "needs 'operator'",
     ],
+    "~controller +controller={_target_:statistics.mean}": [
+        "controller: statistics.mean needs 'data'",
+        "under function: of rrl.controllers.FunctionController",
+    ],
     "+operator.speed=1": ["operator.speed: unknown key", "1"],
     # wrong types
     "env.action_history=long": ["env.action_history", "integer", "long"],

@@ -198,11 +198,23 @@ def test_a_scale_of_the_wrong_length_is_named(factory):
         wrong.make(1)
 
 
+def law(observation):
+    return -observation
+
+
+class Law:
+    def act(self, observation):
+        return -observation
+
+
 @pytest.mark.parametrize(
     ("changes", "error", "message"),
     [
         ({"base": PointMass([])}, TypeError, "base: expected what makes one, .* got a PointMass"),
         ({"controller": ZERO}, TypeError, "controller: expected what makes one, .* got a Tensor"),
+        ({"controller": law}, TypeError, r"got the function law; .*\(FunctionController, law\)"),
+        ({"controller": partial(law)}, TypeError, "controller: expected what .* the function law;"),
+        ({"controller": Law()}, TypeError, "controller: expected what makes .*, got a Law; write"),
         ({"sensing": [ControlNoise()]}, TypeError, "sensing: expected what makes one, .* Control"),
         ({"inputs": "goal"}, TypeError, r"inputs: expected names in a list, got 'goal'"),
         ({"critic_inputs": "goal"}, TypeError, r"critic_inputs: expected names .*, got 'goal'"),

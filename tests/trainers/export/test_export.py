@@ -83,6 +83,15 @@ def test_a_controller_that_cannot_be_recorded_stays_outside(controller, tmp_path
     np.testing.assert_allclose(episode.shadow, episode.commands, rtol=0, atol=1e-6)
 
 
+def test_a_runtime_that_fails_is_not_blamed_on_the_chain(tmp_path, monkeypatch):
+    def fails(values):
+        raise RuntimeError("no memory")
+
+    monkeypatch.setattr("rrl.trainers.export.folder.onnx_graph", lambda path: fails)
+    with pytest.raises(ValueError, match=r"^policy\.onnx does not run: .*RuntimeError: no memory"):
+        export_policy(point(), policy_for(point()), tmp_path / "export")
+
+
 class FromTheStart(StatefulController):
     """Remembers where the episode has begun: a state that depends on the first observation."""
 

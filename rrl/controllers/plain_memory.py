@@ -1,0 +1,130 @@
+"""What an object remembers, as plain data: what is saved is loaded without executing code."""
+
+from __future__ import annotations
+
+import copy
+from collections import deque
+from collections.abc import Callable, Mapping
+from types import FunctionType, ModuleType
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+__all__ = ["check_memory", "remember", "remembered"]
+
+_DEQUE, _GENERATOR = "__deque__", "__generator__"
+_LEAVES = (type(None), bool, int, float, str, bytes, torch.Size)
+_SHARED = (FunctionType, ModuleType, type, np.ufunc)
+"""What copies share and nothing changes: left out while it is what was given."""
+
+Refuse = Callable[[str, Any], TypeError]
+
+
+def remembered(name: str, thing: Any, given: Any) -> Any:
+    """Return what an object remembers: what its ``state_dict()`` says, else its attributes.
+
+    Args:
+        name: What messages call it.
+        thing: The object.
+        given: What it is a copy of.
+
+    Raises:
+        TypeError: If something in it cannot be saved.
+    """
+    if _has_own_memory(thing):
+        state = thing.state_dict()
+        state = dict(state) if isinstance(state, Mapping) else state
+        return _plain(state, "state_dict()", _refusing(name, "let state_dict() leave it out"))
+    remedy = "give it state_dict() and load_state_dict()"
+    return {
+        key: _plain(value, f"attribute {key}", _refusing(name, remedy))
+        for key, value in vars(thing).items()
+        if not (isinstance(value, _SHARED) and value is vars(given).get(key))
+    }
+
+
+def remember(thing: Any, state: Any) -> None:
+    """Give an object what :func:`remembered` returned."""
+    restored = _restored(state)
+    if _has_own_memory(thing):
+        thing.load_state_dict(restored)
+    elif isinstance(restored, Mapping):
+        vars(thing).update(restored)
+
+
+def check_memory(name: str, thing: Any) -> None:
+    """Refuse an object whose attributes cannot be saved, unless it saves itself.
+
+    Raises:
+        TypeError: If one cannot be saved, or there are no attributes.
+    """
+    if _has_own_memory(thing):
+        return
+    if not hasattr(thing, "__dict__"):
+        raise TypeError(
+            f"function: expected an object with attributes or state_dict(), got {name} with "
+            "__slots__; give it state_dict() and load_state_dict()"
+        )
+    remembered(name, thing, thing)
+
+
+def _has_own_memory(thing: Any) -> bool:
+    """Return whether an object saves and restores itself; one method alone does not do."""
+    methods = ("state_dict", "load_state_dict")
+    return all(callable(getattr(thing, name, None)) for name in methods)
+
+
+def _plain(value: Any, place: str, refuse: Refuse) -> Any:
+    """Return a copy of tensors, arrays, numbers, text, lists, tuples and dictionaries alone."""
+
+    def items() -> list[Any]:
+        return [_plain(item, f"{place}[{i}]", refuse) for i, item in enumerate(value)]
+
+    kind = type(value)
+    if isinstance(value, Tensor):
+        return value.detach().clone()
+    if kind in _LEAVES or (isinstance(value, np.generic) and value.dtype.kind in "biufc"):
+        return value
+    if kind is np.ndarray and value.dtype.kind in "biufc":
+        return value.copy()
+    if kind in (list, tuple):
+        return kind(items())
+    if kind is deque:
+        return {_DEQUE: items(), "maxlen": value.maxlen}
+    if kind is dict and all(type(key) in (str, int, tuple) for key in value):
+        return {key: _plain(item, f"{place}[{key!r}]", refuse) for key, item in value.items()}
+    if kind is np.random.Generator:
+        bits = value.bit_generator
+        if type(bits) is getattr(np.random, type(bits).__name__, None):
+            state = _plain(dict(bits.state), place, refuse)
+            return {_GENERATOR: type(bits).__name__, "state": state}
+    raise refuse(place, value)
+
+
+def _restored(value: Any) -> Any:
+    """Undo :func:`_plain`."""
+    if isinstance(value, Mapping):
+        if _DEQUE in value:
+            return deque(map(_restored, value[_DEQUE]), value["maxlen"])
+        if _GENERATOR in value:
+            bits = getattr(np.random, value[_GENERATOR])()
+            bits.state = _restored(value["state"])
+            return np.random.Generator(bits)
+        return {key: _restored(item) for key, item in value.items()}
+    if type(value) in (list, tuple):
+        return type(value)(map(_restored, value))
+    return copy.deepcopy(value)
+
+
+def _refusing(name: str, remedy: str) -> Refuse:
+    def refuse(place: str, value: Any) -> TypeError:
+        of = f" of {value.dtype}" if isinstance(value, np.ndarray) else ""
+        return TypeError(
+            f"controller {name}: {place}: expected tensors, NumPy arrays of numbers, numbers, "
+            "text, lists, tuples, dictionaries, deques or numpy.random.Generator, got a "
+            f"{type(value).__name__}{of}; {remedy}"
+        )
+
+    return refuse
