@@ -7,7 +7,6 @@ import os
 import shlex
 import signal
 import sys
-import warnings
 from collections.abc import Callable, Sequence
 from itertools import count
 from pathlib import Path
@@ -242,8 +241,7 @@ class _Printed(logging.Handler):
 
 
 def _configure_messages() -> None:
-    """Show warnings of all libraries but TorchRL's about itself, and what takes long of ours."""
-    warnings.filterwarnings("ignore", message="Creating .* inherits from WeightUpdaterBase")
+    """Show warnings of all libraries, and what takes long of ours."""
     os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
     logging.getLogger("rrl").setLevel(logging.INFO)
     root = logging.getLogger()
