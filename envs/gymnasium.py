@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import UserDict
 from collections.abc import Callable
 from typing import Any
 
@@ -94,7 +95,7 @@ def gymnasium_env(
     limited = env
     if max_episode_steps is not None and not isinstance(make, str):
         limited = gymnasium.wrappers.TimeLimit(env, max_episode_steps)
-    wrapped = GymWrapper(Reporting(limited))
+    wrapped = _Named(Reporting(limited))
     if success is not None:
         wrapped.set_info_dict_reader(_SuccessReader())
     return wrapped
@@ -108,6 +109,24 @@ def _is_solved(success: Success, env: Any, info: dict[str, Any]) -> bool:
             f"success: expected an entry of info, which has {sorted(info)}, got {success!r}"
         )
     return bool(info[success])
+
+
+class _Named(GymWrapper):
+    """Leaves the entry ``state`` its name, where TorchRL makes it ``observation``."""
+
+    def _make_specs(self, env: Any, batch_size: Any = None) -> None:
+        super()._make_specs(env, batch_size)
+        names = getattr(env.observation_space, "spaces", {})
+        if "state" in names and "observation" not in names:
+            specs = dict(self.observation_spec.items())
+            self.observation_spec = Composite(
+                {"state": specs.pop("observation"), **specs}, shape=self.observation_spec.shape
+            )
+
+    def read_obs(self, observations: Any) -> dict[str, Any]:
+        """Read an observation; TorchRL renames the entries of a ``dict`` alone."""
+        named = UserDict(observations) if isinstance(observations, dict) else observations
+        return dict(super().read_obs(named))
 
 
 class _SuccessReader(BaseInfoDictReader):
