@@ -118,10 +118,10 @@ class _Named(GymWrapper):
         super()._make_specs(env, batch_size)
         names = getattr(env.observation_space, "spaces", {})
         if "state" in names and "observation" not in names:
-            specs = dict(self.observation_spec.items())
-            self.observation_spec = Composite(
-                {"state": specs.pop("observation"), **specs}, shape=self.observation_spec.shape
-            )
+            spec = super().observation_spec
+            spec["state"] = spec["observation"]
+            del spec["observation"]
+            self.observation_spec = spec
 
     def read_obs(self, observations: Any) -> dict[str, Any]:
         """Read an observation; TorchRL renames the entries of a ``dict`` alone."""

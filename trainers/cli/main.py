@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import yaml
 
 from ..console import DurableStream, Output, durable_output
+from ..errors import message
 from ..storage.run_files import CONFIG_FILE, LOG, REPORT
 
 if TYPE_CHECKING:
@@ -77,7 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 return 128 + int(stopped_by)
             if os.environ.get("RRL_TRACEBACK"):
                 raise
-            Output(stderr=True).say(f"rrl {command}: {_message(error)}", style="red")
+            Output(stderr=True).say(f"rrl {command}: {message(error)}", style="red")
             return 2
         return 0
 
@@ -247,14 +248,3 @@ def _configure_messages() -> None:
     root = logging.getLogger()
     if not root.handlers:
         root.addHandler(_Printed())
-
-
-def _message(error: BaseException) -> str:
-    """Return an error as one paragraph; a KeyError without its quotes."""
-    if isinstance(error, KeyError) and error.args:
-        return str(error.args[0])
-    if isinstance(error, OSError) and error.strerror and error.filename:
-        return f"{error.filename}: {error.strerror}"
-    text = str(error) or type(error).__name__
-    cause = str(error.__cause__ or "").partition("\n")[0]  # Hydra keeps the reason there
-    return text if cause in text else f"{text}\n{cause}"
