@@ -116,6 +116,32 @@ def test_an_error_of_the_user_s_own_code_has_its_place(tmp_path, monkeypatch, ca
     assert "RRL_TRACEBACK=1" in said
 
 
+def test_a_module_that_is_not_there_is_named_once_and_where_it_is_looked_for(
+    tmp_path, monkeypatch, capsys
+):
+    own = tmp_path / "configs/controller/absent.yaml"
+    own.parent.mkdir(parents=True)
+    inner = "{_target_: absent_project.pi.PI}"
+    node = f"_target_: rrl.controllers.FunctionController\nfunction: {inner}\nin_keys: [goal]\n"
+    own.write_text(node)
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", *SMALL, "controller=absent"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("rrl train: controller.function: _target_: expected package.module.name")
+    assert said.count("absent_project.pi.PI") == 1
+    assert f"call rrl there, not in {tmp_path}" in said
+
+
+def test_the_command_to_go_on_names_its_folder(tmp_path, monkeypatch, capsys):
+    home = tmp_path / "my project"
+    home.mkdir()
+    monkeypatch.chdir(home)
+    monkeypatch.setattr("rrl.trainers.training.trainer.Trainer.run", lambda self: 1 / 0)
+    assert main(["train", *SMALL, "hydra.run.dir=run"]) == 2
+    command = f"cd '{home}' && rrl train 'resume={home}/run'"
+    assert f"to go on with it:\n  {command}\n" in capsys.readouterr().out
+
+
 def test_an_error_with_a_message_of_ours_needs_no_more(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["train", *SMALL, "trainer.num_seeds=-1"]) == 2

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import shlex
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import yaml
 
-from ..console import DurableStream, Output, durable_output
+from ..console import DurableStream, Output, durable_output, from_here
 from ..errors import message
 from ..storage.run_files import CONFIG_FILE, LOG, REPORT
 
@@ -222,7 +221,7 @@ def _reproduce(arguments: list[str]) -> None:
     plain = {key for key in given if key in paths and given[key] != "null"}
     changes = {k: value if k in plain else yaml.safe_load(value) for k, value in given.items()}
     folders = [folder for folder in (Path.cwd() / CONFIGS, OURS) if folder.is_dir()]
-    again = shlex.join(["rrl", "reproduce", *arguments])
+    again = from_here("rrl", "reproduce", *arguments)
     reproduce(names, changes, compose, folders, Output(), again)
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
 import yaml
 
 from ..configuration import build as assembly
-from ..console import Output
+from ..console import Output, from_here
 from ..evaluation.episodes import write_results
 from ..pretrained import start_from
 from ..report.learning_curve import learning_curve
@@ -57,7 +56,7 @@ def train(config: assembly.Config, run_dir: Path, console: Output, *, resume: bo
         try:
             _train(config, trainer, console)
         except Exception:
-            command = f"rrl train resume={shlex.quote(str(run_dir))}"
+            command = from_here("rrl", "train", f"resume={run_dir}")
             console.say(f"the run is on disk; to go on with it:\n  {command}")
             raise
     finally:
