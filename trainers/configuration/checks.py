@@ -40,7 +40,7 @@ def _check_render(config: Config) -> Problems:
         choices = ", ".join(scenarios)
         yield f"render.scenario: expected one of {choices} or null, got {render['scenario']!r}"
     episode, count = render["episode"], config["trainer"]["evaluation"]["final_episodes"]
-    if episode != "rescue" and (isinstance(episode, str) or not 0 <= episode < count):
+    if episode != "rescue" and not (type(episode) is int and 0 <= episode < count):
         yield f"render.episode: expected rescue or a number below {count}, got {episode!r}"
 
 

@@ -1,11 +1,13 @@
 """Broken configurations: each gives one message that says where, what was expected and what came."""
 
 import pytest
+from pydantic import ValidationError
 
 from rrl.envs import InsertionEnv
 from rrl.trainers.cli.compose import compose, compose_train, plain_name
 from rrl.trainers.configuration import build as assembly
 from rrl.trainers.errors import message
+from rrl.trainers.settings import TrainerSettings
 
 AGENT, BASE = "algorithm.agent", "env.base"
 
@@ -18,6 +20,7 @@ BROKEN = {
     "env.base.nothing=1": ["+env.base.nothing=1"],
     "+trainer.sede=3": ["trainer.sede: unknown key", "3"],
     "+trainer.evaluation.evry=3": ["trainer.evaluation.evry: unknown key"],
+    "+trainer.total_step=3": ["trainer.total_step: unknown key", "did you mean total_steps?"],
     "+trainer.gpu=cuda": ["trainer.gpu: unknown key", "cuda"],
     "+render.colour=red": ["render.colour: unknown key", "red"],
     "+env.inptus.goal={}": ["env.inptus: unknown key"],
@@ -94,7 +97,10 @@ BROKEN = {
     "trainer.updates_per_step=inf": ["trainer.updates_per_step", "inf"],
     "trainer.evaluation.episodes=0": ["trainer.evaluation.episodes", "greater than 0"],
     "trainer.checkpoint.keep=0": ["trainer.checkpoint.keep", "greater than 0"],
-    "residual_scale=-1": ["residual_scale", "-1"],
+    "residual_scale=-1": ["residual_scale: expected a number of at least 0, or a list of such"],
+    "residual_scale=[1,-1]": ["residual_scale: expected a number of at least 0", "[1, -1]"],
+    "trainer.realtime.weights=0": ["trainer.realtime.weights: expected episode or", "got 0"],
+    "render.episode=1.5": ["render.episode: expected rescue or a number below 100, got 1.5"],
     "algorithm.agent.gamma=1.5": [AGENT, "gamma", "1.5"],
     "algorithm.agent.tau=0": [AGENT, "tau", "0"],
     "algorithm.agent.policy_delay=0": [AGENT, "policy_delay", "0"],
@@ -178,6 +184,24 @@ def test_a_broken_config_is_explained(override):
     for fragment in BROKEN[override]:
         assert fragment in message, message
     assert "Traceback" not in message
+    assert "constrained" not in message
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"total_step": 3}, "total_step\n  unknown key, got 3; did you mean total_steps? "),
+        ({"gpu": 1}, "it takes seed, num_seeds"),
+        ({"evaluation": {"evry": 3}}, "evaluation.evry\n  unknown key, got 3; did you mean every?"),
+        ({"threads": 0}, "threads\n  expected a number greater than 0, got 0 "),
+        ({"total_steps": 100, "warmup_steps": 300}, "warmup_steps: expected less than total_steps"),
+    ],
+)
+def test_settings_in_python_are_explained_too(values, said):
+    with pytest.raises(ValidationError) as caught:
+        TrainerSettings(**values)
+    assert said in str(caught.value)
+    assert "pydantic.dev" not in str(caught.value)
 
 
 def test_there_are_many():
