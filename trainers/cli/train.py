@@ -42,7 +42,7 @@ MEDIA = (".png", *VIDEO_FILES)
 
 def train(config: assembly.Config, run_dir: Path, console: Output, *, resume: bool) -> None:
     """Train one seed here or several in a pool; leave table, curve, video and report."""
-    assembly.check(config)
+    assembly.check(config, training=True)
     if config["trainer"]["num_seeds"] > 1 or seed_directories(run_dir):
         train_seeds(config, run_dir, console, resume=resume)
         return

@@ -204,6 +204,16 @@ def test_settings_in_python_are_explained_too(values, said):
     assert "pydantic.dev" not in str(caught.value)
 
 
+@pytest.mark.parametrize("device", ["cuda:99", "gpu", "mps:99"])
+def test_a_device_has_to_be_there_for_training_alone(device):
+    config = compose([f"trainer.device={device}"])
+    assembly.check(config)  # whoever evaluates a run needs no device of its own
+    with pytest.raises(
+        ValueError, match=r"^trainer\.device: expected a device of this machine, got"
+    ):
+        assembly.check(config, training=True)
+
+
 def test_there_are_many():
     assert len(BROKEN) >= 50
 
