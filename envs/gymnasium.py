@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import UserDict
 from collections.abc import Callable
 from typing import Any
 
@@ -107,10 +108,28 @@ def gymnasium_env(
     limited = env
     if max_episode_steps is not None and not isinstance(make, str):
         limited = gymnasium.wrappers.TimeLimit(env, max_episode_steps)
-    wrapped = GymWrapper(Reporting(limited))
+    wrapped = _Named(Reporting(limited))
     if success is not None:
         wrapped.set_info_dict_reader(_SuccessReader())
     return wrapped
+
+
+class _Named(GymWrapper):
+    """Leaves the entry ``state`` its name, where TorchRL makes it ``observation``."""
+
+    def _make_specs(self, env: Any, batch_size: Any = None) -> None:
+        super()._make_specs(env, batch_size)
+        names = getattr(env.observation_space, "spaces", {})
+        if "state" in names and "observation" not in names:
+            spec = super().observation_spec
+            spec["state"] = spec["observation"]
+            del spec["observation"]
+            self.observation_spec = spec
+
+    def read_obs(self, observations: Any) -> dict[str, Any]:
+        """Read an observation; TorchRL renames the entries of a ``dict`` alone."""
+        named = UserDict(observations) if isinstance(observations, dict) else observations
+        return dict(super().read_obs(named))
 
 
 class _SuccessReader(BaseInfoDictReader):

@@ -1,6 +1,7 @@
 """The documentation is right: its snippets run, its commands are accepted, its links lead somewhere."""
 
 import importlib.util
+import json
 import re
 import shlex
 import sys
@@ -21,7 +22,7 @@ from agents import random_policy
 from rrl.algorithms import TD3, mlp
 from rrl.controllers import ProportionalController
 from rrl.trainers.cli.compose import plain_name
-from rrl.trainers.cli.main import COMMANDS
+from rrl.trainers.cli.main import COMMANDS, main
 from rrl.trainers.cli.new import create
 from rrl.trainers.configuration import build as assembly
 from rrl.trainers.environment import EnvironmentFactory, Input
@@ -52,8 +53,17 @@ def blocks(language, documents=DOCUMENTS):
             yield pytest.param(found[1], id=f"{document.relative_to(ROOT)}:{line}")
 
 
-TASKS = [*blocks("python", [ROOT / "docs/your_task.md"])]
-"""How to train, and tasks to train on."""
+def file_of(snippet):
+    """The file of a project that a block is, by its first line; empty: none."""
+    found = re.match(r"# ((configs|my_project)/\S+)\n", snippet)
+    return found[1] if found else ""
+
+
+YOUR_TASK = [ROOT / "docs/your_task.md"]
+PROJECT = [b for lang in ("yaml", "python") for b in blocks(lang, YOUR_TASK) if file_of(*b.values)]
+TASKS = [b for b in blocks("python", YOUR_TASK) if b not in PROJECT]
+TASKS, OTHERWISE = TASKS[:-1], TASKS[-1]
+"""How to train and tasks to train on; how to train otherwise."""
 
 
 def commands():
@@ -128,19 +138,48 @@ def test_a_task_is_played(snippet, tmp_path):
     assert summary["return"] == summary["controller_return"]
 
 
+def test_a_run_with_other_settings_goes_on(tmp_path):
+    names = {}
+    for each in (TASKS[1], OTHERWISE):
+        exec(compile(each.values[0], "snippet", "exec"), names)
+    tiny = {"steps_per_collection": 10, "batch_size": 8, "acceptance": {"episodes": 2}}
+    tiny |= {"warmup_steps": 20, "evaluation": {"every": 0, "episodes": 1, "final_episodes": 1}}
+    tiny["checkpoint"] = {"every": 0}
+    environment = replace(names["environment"], max_episode_steps=10)
+    for steps in (30, 40):
+        names["train_otherwise"](environment, tmp_path, steps > 30, total_steps=steps, **tiny)
+    assert len(list((tmp_path / "checkpoints").iterdir())) == 2
+
+
+def test_a_project_s_files_are_trained_on(tmp_path, monkeypatch):
+    create("my_project", tmp_path)
+    project = tmp_path / "my_project"
+    for (snippet,) in (block.values for block in PROJECT):
+        (project / file_of(snippet)).write_text(snippet)
+    monkeypatch.chdir(project)
+    monkeypatch.syspath_prepend(project)
+    few = [f"trainer.evaluation.{name}=2" for name in ("episodes", "final_episodes", "slots")]
+    few += ["trainer.total_steps=0", "arm=controller", "render.enabled=false", "logger=csv"]
+    assert main(["train", "env=reacher", "controller=reacher", "hydra.run.dir=run", *few]) == 0
+    for name in [name for name in sys.modules if name.partition(".")[0] == "my_project"]:
+        del sys.modules[name]
+    (record,) = json.loads((project / "run/results.json").read_text()).values()
+    assert record["episodes"]["success"] == record["episodes"]["controller_success"]
+
+
 def lines_of_the_user(snippet):
     """Lines but imports, comments, and brackets alone."""
     lines = (line.split("#")[0].strip(" )]},") for line in snippet.splitlines())
     return [line for line in lines if line and not line.startswith(("import ", "from "))]
 
 
-@pytest.mark.parametrize("snippet", TASKS)
+@pytest.mark.parametrize("snippet", [*TASKS, OTHERWISE])
 def test_twelve_lines_are_enough_for_a_task(snippet):
     assert len(lines_of_the_user(snippet)) <= 12
     assert "class" not in snippet
 
 
-@pytest.mark.parametrize("snippet", [*blocks("yaml")])
+@pytest.mark.parametrize("snippet", [b for b in blocks("yaml") if b not in PROJECT])
 def test_yaml_describes_an_environment(snippet):
     described = yaml.safe_load(snippet)
     if "algorithm" in described:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import io
 import os
+import shlex
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
@@ -14,7 +15,7 @@ from typing import ClassVar, TextIO
 from rich.console import Console
 from rich.segment import Segment, Segments
 
-__all__ = ["DurableStream", "Output", "durable_output"]
+__all__ = ["DurableStream", "Output", "durable_output", "from_here"]
 
 AS_BYTES = "rrl.as_bytes"
 """How streams write what their encoding lacks: parts of a path as the bytes that they are, so that
@@ -34,6 +35,14 @@ def _as_bytes(error: UnicodeError) -> tuple[str | bytes, int]:
 
 
 codecs.register_error(AS_BYTES, _as_bytes)
+
+
+def from_here(*command: str) -> str:
+    """Return a command to copy, which runs in this folder wherever it is pasted.
+
+    A project's modules, its ``configs/`` and relative paths are found from its folder.
+    """
+    return f"cd {shlex.quote(str(Path.cwd()))} && {shlex.join(command)}"
 
 
 class Output(Console):

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, PlainValidator, model_validator
 
 from rrl.algorithms.calibration import warmup_length
 
+from .checked import Checked
 from .defaults import default_config
 from .seeds import MAX_SEED
 
@@ -28,12 +29,18 @@ NonNegative = Annotated[int, Field(ge=0)]
 Seed = Annotated[int, Field(ge=0, lt=MAX_SEED)]
 
 
+def _episode_or_steps(value: Any) -> Any:
+    if value != "episode" and (type(value) is not int or value < 1):
+        raise ValueError(f"expected episode or a whole number above 0, got {value!r}")
+    return value
+
+
 IN_YAML: Any = Field(default=None)
 """Stands for the default in ``configs/``, which is filled in before anything is checked."""
 
 
-class _Settings(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+class _Settings(Checked):
+    model_config = ConfigDict(frozen=True)
     section: ClassVar[str | None] = None
     """Below ``trainer`` in the YAML, where the defaults are."""
 
@@ -129,7 +136,7 @@ class RealTimeSettings(_Settings):
     period: Annotated[float, Field(gt=0)] | None = IN_YAML
     budget: Annotated[float, Field(gt=0, le=1)] = IN_YAML
     late: Literal["controller", "hold", "stop"] = IN_YAML
-    weights: Literal["episode"] | Positive = IN_YAML
+    weights: Annotated[Literal["episode"] | int, PlainValidator(_episode_or_steps)] = IN_YAML
     retry: Annotated[float, Field(gt=0)] = IN_YAML
     priority: Annotated[int, Field(ge=0, le=99)] = IN_YAML
 
@@ -255,8 +262,7 @@ class TrainerSettings(_Settings):
             alone = warmup // 2 // self.steps_per_round * self.steps_per_round
         return self.model_copy(update={"warmup_steps": warmup, "controller_steps": alone})
 
-    @model_validator(mode="after")
-    def _check(self) -> TrainerSettings:
+    def _check(self) -> None:
         per_round = f"steps_per_collection x num_envs ({self.steps_per_round})"
         for name, length in self.lengths.items():
             if self.total_steps and length is not None and length >= self.total_steps:
@@ -286,12 +292,7 @@ class TrainerSettings(_Settings):
                 "collection: realtime steps one environment and measures its own timing: expected "
                 f"num_envs 1 and profile false, got {self.num_envs} and {self.profile}"
             )
-        multiples = {
-            "total_steps": self.total_steps,
-            "evaluation.every": self.evaluation.every,
-            "checkpoint.every": self.checkpoint.every,
-        }
-        for name, steps in multiples.items():
+        due = {"evaluation.every": self.evaluation.every, "checkpoint.every": self.checkpoint.every}
+        for name, steps in {"total_steps": self.total_steps, **due}.items():
             if steps % self.steps_per_round:
                 raise ValueError(f"{name}: expected a multiple of {per_round}, got {steps}")
-        return self

@@ -13,6 +13,8 @@ from typing import Any
 
 from torchrl.envs import EnvBase
 
+from .errors import place
+
 __all__ = ["WorkerErrors"]
 
 
@@ -34,8 +36,7 @@ class WorkerErrors:
         """Return an error that names the workers that ended and what they raised."""
         reports = sorted(self._folder.iterdir())
         reasons = [
-            f"worker {int(path.name)}: {path.read_text(encoding='utf-8').strip()}"
-            for path in reports
+            f"worker {int(path.name)}: {path.read_text(encoding='utf-8')}" for path in reports
         ]
         told = "; ".join(reasons) or "it left no word, so it was killed or crashed"
         return RuntimeError(
@@ -50,7 +51,7 @@ def _make(make: Callable[[], EnvBase], report: Path) -> EnvBase:
             try:
                 return call(*args, **kwargs)
             except BaseException as error:  # SystemExit too: the worker ends with it
-                text = traceback.format_exception_only(error)[-1]
+                text = traceback.format_exception_only(error)[-1].strip() + place(error)
                 report.write_text(text, encoding="utf-8", errors="surrogateescape")
                 raise
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar
@@ -16,7 +15,13 @@ from torchrl.objectives import LossModule, SoftUpdate
 from torchrl.objectives.utils import ValueEstimators
 
 from rrl.algorithms.calibration import derived
-from rrl.algorithms.networks import EncodedNetwork, FirstOnly, last_layer, last_layer_name
+from rrl.algorithms.networks import (
+    EncodedNetwork,
+    FirstOnly,
+    acting_twin,
+    last_layer,
+    last_layer_name,
+)
 from rrl.algorithms.precision import single_precision
 from rrl.algorithms.readings import Readings, with_shapes
 from rrl.algorithms.reward_scale import RewardScale
@@ -134,12 +139,8 @@ class Agent(nn.Module, ABC):
         return actor if len(self.read_keys) == 1 else FirstOnly(actor)
 
     def acting_network(self, actor: nn.Module) -> nn.Module:
-        """Return the network from the inputs to the actor's output, symmetric if the task is.
-
-        It shares the actor's tensors and acts without what is for learning alone, such as dropout.
-        """
-        shared = {id(tensor): tensor for tensor in (*actor.parameters(), *actor.buffers())}
-        network = copy.deepcopy(actor, shared).eval()
+        """Return the network from the inputs to the actor's output, symmetric if the task is."""
+        network = acting_twin(actor)
         if self.symmetry is not None:
             network = SymmetricActor(network, self.symmetry)
         return EncodedNetwork(self.encoder, network)

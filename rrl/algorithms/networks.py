@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -14,6 +15,7 @@ __all__ = [
     "FirstOnly",
     "Linear",
     "NetworkFactory",
+    "acting_twin",
     "last_layer",
     "mlp",
 ]
@@ -107,6 +109,15 @@ class FirstOnly(nn.Module):
     def forward(self, first: Tensor, *others: Tensor) -> Tensor:
         """Return the network's output."""
         return self.network(first)
+
+
+def acting_twin(network: nn.Module) -> nn.Module:
+    """Return the network as it acts: the same tensors, without what is for learning alone.
+
+    Dropout is, and modules know it by their mode, which a network has once.
+    """
+    shared = {id(tensor): tensor for tensor in (*network.parameters(), *network.buffers())}
+    return copy.deepcopy(network, shared).eval()
 
 
 def last_layer(network: nn.Module) -> Any:

@@ -86,6 +86,23 @@ def test_specs(flat, bound, dtype) -> None:
     assert env.observation_spec["observation"].dtype == torch.float64
 
 
+@pytest.mark.parametrize("names", [("state",), ("state", "goal"), ("state", "observation")])
+def test_entries_keep_their_names(names) -> None:
+    class Named(Reach):
+        def __init__(self):
+            super().__init__(flat=True)
+            spaces = dict.fromkeys(names, self.observation_space)
+            self.observation_space = gymnasium.spaces.Dict(spaces)
+
+        def _observe(self):
+            return dict.fromkeys(names, super()._observe())
+
+    env = gymnasium_env(Named, success="is_success", max_episode_steps=6)
+    check_env_specs(env)
+    assert set(env.observation_spec.keys()) == {*names, "success"}
+    assert env.rollout(2)["next", "state"].shape == (2, 4)
+
+
 def test_success_is_what_info_says() -> None:
     """A step or two lead to the goal; a reset is no success."""
     rollout = with_residual(reach()).rollout(6)

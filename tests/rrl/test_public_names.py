@@ -36,3 +36,10 @@ def test_listed_for_the_editor_and_named_when_wrong() -> None:
 def test_importing_the_package_is_light() -> None:
     program = "import sys, rrl; sys.exit(bool({'torch', 'tensordict', 'hydra'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+def test_importing_the_trainer_is_quiet() -> None:
+    program = "import rrl.envs, warnings; warnings.simplefilter('always'); from rrl import Trainer"
+    command = [sys.executable, "-c", program]
+    said = subprocess.run(command, check=True, capture_output=True, text=True).stderr
+    assert "WeightUpdaterBase" not in said

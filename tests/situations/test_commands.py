@@ -1,6 +1,5 @@
 """Commands as they are typed in a hurry: side by side, swept, in a project with files of its own."""
 
-import json
 import sys
 import threading
 from pathlib import Path
@@ -8,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from rrl.trainers.cli import evaluate, seeds
+from rrl.trainers.cli import seeds
 from rrl.trainers.cli.compose import OURS, compose_train
 from rrl.trainers.cli.main import USAGE, main, new_directory
 from rrl.trainers.launch.launchers import spawn
@@ -80,6 +79,80 @@ def test_a_file_of_the_project_comes_before_ours_and_is_named(tmp_path, monkeypa
         found = found[key]
     assert found == value
     assert composed.replaced == (own,)
+
+
+WRONG = """
+from functools import partial
+import numpy as np
+import torch
+from rrl.controllers import FunctionController
+
+def act(position, deep):
+    if deep:
+        torch.stack([])
+    return np.zeros(3)[99]
+
+def controller(deep):
+    return FunctionController(partial(act, deep=deep), ["end_effector_position"])
+"""
+
+
+@pytest.mark.parametrize("deep", [False, True])
+def test_an_error_of_the_user_s_own_code_has_its_place(tmp_path, monkeypatch, capsys, deep):
+    own = tmp_path / "configs/controller/wrong.yaml"
+    own.parent.mkdir(parents=True)
+    own.write_text(f"_target_: wrong_controller.controller\ndeep: {deep}\n")
+    (tmp_path / "wrong_controller.py").write_text(WRONG)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "wrong_controller", raising=False)
+    assert main(["train", *SMALL, "controller=wrong"]) == 2
+    del sys.modules["wrong_controller"]
+    said = capsys.readouterr().err
+    what = "non-empty TensorList" if deep else "index 99 is out of bounds for axis 0 with size 3"
+    assert what in said
+    assert f"(wrong_controller.py:{9 if deep else 10}, in act)" in said
+    assert "RRL_TRACEBACK=1" in said
+
+
+def test_a_module_that_is_not_there_is_named_once_and_where_it_is_looked_for(
+    tmp_path, monkeypatch, capsys
+):
+    own = tmp_path / "configs/controller/absent.yaml"
+    own.parent.mkdir(parents=True)
+    inner = "{_target_: absent_project.pi.PI}"
+    node = f"_target_: rrl.controllers.FunctionController\nfunction: {inner}\nin_keys: [goal]\n"
+    own.write_text(node)
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", *SMALL, "controller=absent"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("rrl train: controller.function: _target_: expected package.module.name")
+    assert said.count("absent_project.pi.PI") == 1
+    assert f"call rrl there, not in {tmp_path}" in said
+
+
+def test_the_command_to_go_on_names_its_folder(tmp_path, monkeypatch, capsys):
+    home = tmp_path / "my project"
+    home.mkdir()
+    monkeypatch.chdir(home)
+    monkeypatch.setattr("rrl.trainers.training.trainer.Trainer.run", lambda self: 1 / 0)
+    assert main(["train", *SMALL, "hydra.run.dir=run"]) == 2
+    command = f"cd '{home}' && rrl train 'resume={home}/run'"
+    assert f"to go on with it:\n  {command}\n" in capsys.readouterr().out
+
+
+def test_an_error_with_a_message_of_ours_needs_no_more(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", *SMALL, "trainer.num_seeds=-1"]) == 2
+    assert main(["train", f"resume={tmp_path}"]) == 2
+    assert "RRL_TRACEBACK" not in capsys.readouterr().err
+
+
+def test_a_run_without_a_renderer_says_so_once(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    nothing = ["arm=controller", "trainer.total_steps=0", "env.renderer=null"]
+    assert main(["train", *SMALL, *nothing, "render.enabled=true"]) == 0
+    assert capsys.readouterr().out.count("no video: env.renderer is not set") == 1
 
 
 def test_the_run_says_which_file_was_read(tmp_path, monkeypatch, capsys):
@@ -206,46 +279,3 @@ def test_a_file_of_the_project_hides_no_package_from_a_run(tmp_path):
     (tmp_path / "yaml.py").write_text("raise RuntimeError('not the package')\n")
     log = tmp_path / "log.txt"
     assert spawn(["--help"], log, cwd=str(tmp_path)).wait() == 0, log.read_text()
-
-
-@pytest.fixture(scope="module")
-def controller_run(tmp_path_factory):
-    """A run of the controller alone, whose video fails at its end."""
-    run = tmp_path_factory.mktemp("controller") / "run"
-    nothing = ["arm=controller", "trainer.total_steps=0", f"hydra.run.dir={run}"]
-    film = ["render.enabled=true", "render.episode=rescue", "env.renderer.camera=nonsense"]
-    assert main(["train", *SMALL, *nothing, *film]) == 0
-    return run
-
-
-def test_a_video_that_fails_costs_no_results(controller_run):
-    for name in ("results.json", "report.html"):
-        assert (controller_run / name).stat().st_size > 0
-    assert not (controller_run / "videos").exists()
-
-
-def test_the_controller_alone_is_evaluated_again(controller_run):
-    assert main(["evaluate", f"run={controller_run}"]) == 0
-    (again,) = controller_run.glob("evaluation-*.json")
-    before = json.loads((controller_run / "results.json").read_text())
-    for scenario, record in json.loads(again.read_text()).items():
-        assert before[scenario]["episodes"].items() <= record["episodes"].items()
-
-
-@pytest.mark.parametrize("changed", [False, True])
-def test_a_rescue_is_found_in_the_results_where_they_are_of_this_configuration(
-    controller_run, monkeypatch, capsys, changed
-):
-    results = json.loads((controller_run / "results.json").read_text())
-    for record in results.values():
-        record["episodes"] |= {"controller_success": [False, False], "success": [False, True]}
-    (controller_run / "results.json").write_text(json.dumps(results))
-    evaluated = []
-    monkeypatch.setattr(evaluate, "Evaluator", lambda *a: evaluated.append(a) or 1 / 0)
-    changes = ["trainer.evaluation.seed=7"] if changed else []
-    filmed = ["env.renderer={_target_:situation_envs.black}", "render.format=gif", *changes]
-    status = main(["render", f"run={controller_run}", *filmed])
-    assert bool(evaluated) == changed
-    assert status == (2 if changed else 0), capsys.readouterr().err
-    if not changed:
-        assert list(controller_run.glob("videos/*_episode_1.gif"))

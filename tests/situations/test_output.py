@@ -133,7 +133,7 @@ def test_the_terminal_goes_away(tmp_path, monkeypatch, unbuffered):
     assert checkpoints(run)[-1] > 0
     text = (run / "log.txt").read_text()
     assert "SIGHUP: finishing this round and saving" in text
-    assert f"rrl train resume={run}" in text
+    assert f"cd {tmp_path} && rrl train resume={run}" in text
 
 
 @pytest.mark.slow

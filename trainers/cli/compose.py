@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, ClassVar, cast
 
@@ -16,10 +18,13 @@ from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.plugins import Plugins
+from hydra.errors import HydraException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
+from ..errors import place
 from ..storage.run_files import CONFIG_FILE, PLAIN_NAME
 
 __all__ = ["CONFIGS", "Composed", "compose", "compose_train", "plain_name", "through_hydra"]
@@ -60,6 +65,38 @@ class ProjectConfigs(SearchPathPlugin):
             search_path.prepend("project", f"file://{self.folder}")
 
 
+@contextmanager
+def _in_our_words() -> Iterator[None]:
+    """Raise what Hydra finds as a ValueError, with the key at its beginning where that is known."""
+    try:
+        yield
+    except (HydraException, OmegaConfBaseException) as error:
+        if text := _missing(error) or _misspelt(error):
+            raise ValueError(text) from None
+        raise ValueError(str(error)) from error.__cause__
+
+
+def _missing(error: Exception) -> str | None:
+    """Return which key others are made of and nobody has given."""
+    found = re.match("Interpolation key '(.+)' not found", str(error))
+    return f"{found[1]}: expected a value, got none" if found else None
+
+
+def _misspelt(error: Exception) -> str | None:
+    """Return which known key was meant; Hydra tells how to add another one."""
+    reason = error.__cause__
+    if not isinstance(reason, ConfigAttributeError | ConfigKeyError):
+        return None
+    known = [str(key) for key in cast(DictConfig, reason.parent_node)]
+    near = get_close_matches(str(reason.key), known, 1)
+    if not near:
+        return None
+    where, given = str(reason.full_key), str(error).rpartition(" use ")[2]
+    meant = where.removesuffix(str(reason.key)) + near[0]
+    return f"{where}: unknown key; did you mean {meant}? (to add a key: {given})"
+
+
+@_in_our_words()
 def compose(overrides: Sequence[str], folder: Path | None = None) -> dict[str, Any]:
     """Return the resolved configuration that ``rrl train`` has with these overrides.
 
@@ -72,6 +109,7 @@ def compose(overrides: Sequence[str], folder: Path | None = None) -> dict[str, A
         return _resolved(hydra.compose(PRIMARY, overrides=list(overrides)))
 
 
+@_in_our_words()
 def compose_train(overrides: Sequence[str], run_dir: Path | None) -> Composed:
     """Compose a new run's configuration, or one from a run's own with changes.
 
@@ -92,6 +130,7 @@ def compose_train(overrides: Sequence[str], run_dir: Path | None) -> Composed:
     return Composed(_resolved(config), out, chosen, replaced)
 
 
+@_in_our_words()
 def through_hydra(
     arguments: Sequence[str], run_dir: Path | None, job: Callable[[Composed], None]
 ) -> None:
@@ -126,7 +165,7 @@ def through_hydra(
     for failure in _signals(failures) or [failures[job] for job in failures if not job]:
         raise failure
     if failures:
-        text = "\n".join(f"{job}: {error}" for job, error in failures.items())
+        text = "\n".join(f"{job}: {error}{place(error)}" for job, error in failures.items())
         raise RuntimeError(text) from next(iter(failures.values()))
 
 
@@ -168,6 +207,7 @@ def _prepare(folder: Path | None = None) -> None:
     OmegaConf.register_new_resolver("plain", plain_name, replace=True)
 
 
+@_in_our_words()
 def _resolved(config: DictConfig) -> dict[str, Any]:
     container = OmegaConf.to_container(
         OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"]),

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from ..configuration import build as assembly
 from ..console import Output
+from ..errors import place
 from ..evaluation.episodes import Comparison, write_results
 from ..evaluation.evaluator import Evaluator
 from ..evaluation.video import choose_episode, render_comparison
@@ -103,7 +104,7 @@ def only_said(console: Output) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # whatever a renderer, a codec or a driver can come up with
-        console.say(f"no video: {error}", style="yellow")
+        console.say(f"no video: {error}{place(error)}", style="yellow")
 
 
 def film(
@@ -113,7 +114,7 @@ def film(
     run_dir: Path,
     console: Output,
 ) -> list[Path]:
-    """Film an episode of what a run hands over; the list is empty without a renderer.
+    """Film an episode of what a run hands over; without a renderer say so, and film nothing.
 
     Args:
         config: The resolved configuration.
@@ -130,6 +131,7 @@ def film(
     scenarios = assembly.scenarios(config)
     node, scenario = config["env"].get("renderer"), how["scenario"] or next(iter(scenarios))
     if not node:
+        console.say("no video: env.renderer is not set")
         return []
     if scenario not in scenarios:
         raise ValueError(f"render.scenario: expected one of {sorted(scenarios)}, got {scenario!r}")

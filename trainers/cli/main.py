@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import logging
 import os
-import shlex
 import signal
 import sys
-import warnings
 from collections.abc import Callable, Sequence
 from itertools import count
 from pathlib import Path
@@ -15,7 +13,8 @@ from typing import TYPE_CHECKING
 
 import yaml
 
-from ..console import DurableStream, Output, durable_output
+from ..console import DurableStream, Output, durable_output, from_here
+from ..errors import message
 from ..storage.run_files import CONFIG_FILE, LOG, REPORT
 
 if TYPE_CHECKING:
@@ -78,7 +77,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 return 128 + int(stopped_by)
             if os.environ.get("RRL_TRACEBACK"):
                 raise
-            Output(stderr=True).say(f"rrl {command}: {_message(error)}", style="red")
+            Output(stderr=True).say(f"rrl {command}: {message(error)}", style="red")
             return 2
         return 0
 
@@ -222,7 +221,7 @@ def _reproduce(arguments: list[str]) -> None:
     plain = {key for key in given if key in paths and given[key] != "null"}
     changes = {k: value if k in plain else yaml.safe_load(value) for k, value in given.items()}
     folders = [folder for folder in (Path.cwd() / CONFIGS, OURS) if folder.is_dir()]
-    again = shlex.join(["rrl", "reproduce", *arguments])
+    again = from_here("rrl", "reproduce", *arguments)
     reproduce(names, changes, compose, folders, Output(), again)
 
 
@@ -242,21 +241,9 @@ class _Printed(logging.Handler):
 
 
 def _configure_messages() -> None:
-    """Show warnings of all libraries but TorchRL's about itself, and what takes long of ours."""
-    warnings.filterwarnings("ignore", message="Creating .* inherits from WeightUpdaterBase")
+    """Show warnings of all libraries, and what takes long of ours."""
     os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
     logging.getLogger("rrl").setLevel(logging.INFO)
     root = logging.getLogger()
     if not root.handlers:
         root.addHandler(_Printed())
-
-
-def _message(error: BaseException) -> str:
-    """Return an error as one paragraph; a KeyError without its quotes."""
-    if isinstance(error, KeyError) and error.args:
-        return str(error.args[0])
-    if isinstance(error, OSError) and error.strerror and error.filename:
-        return f"{error.filename}: {error.strerror}"
-    text = str(error) or type(error).__name__
-    cause = str(error.__cause__ or "").partition("\n")[0]  # Hydra keeps the reason there
-    return text if cause in text else f"{text}\n{cause}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import yaml
 
 from ..configuration import build as assembly
 from ..configuration.schema import Schema
-from ..console import Output
+from ..console import Output, from_here
 from ..launch.job import Job, one_seed
 from ..launch.pool import launch, require_all
 from ..report.learning_curve import learning_curve
@@ -60,8 +59,8 @@ def train_seeds(config: assembly.Config, run_dir: Path, console: Output, *, resu
         text = yaml.safe_dump(dict(config), sort_keys=False)
         write_atomically(run_dir / CONFIG_FILE, text)
         console.say(f"training {count} seeds in {run_dir}")
-        again = f"rrl train resume={shlex.quote(str(run_dir))}"
         how = Schema.model_validate(config)
+        again = from_here("rrl", "train", f"resume={run_dir}")
         ending = launch(jobs, how.launcher, how.workers, console, again)
         done = [job.path for job in jobs if job in ending.done]
         if done:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
 import yaml
 
 from ..configuration import build as assembly
-from ..console import Output
+from ..console import Output, from_here
 from ..evaluation.episodes import write_results
 from ..pretrained import start_from
 from ..report.learning_curve import learning_curve
@@ -43,7 +42,7 @@ MEDIA = (".png", *VIDEO_FILES)
 
 def train(config: assembly.Config, run_dir: Path, console: Output, *, resume: bool) -> None:
     """Train one seed here or several in a pool; leave table, curve, video and report."""
-    assembly.check(config)
+    assembly.check(config, training=True)
     if config["trainer"]["num_seeds"] > 1 or seed_directories(run_dir):
         train_seeds(config, run_dir, console, resume=resume)
         return
@@ -58,7 +57,7 @@ def train(config: assembly.Config, run_dir: Path, console: Output, *, resume: bo
             _train(config, trainer, console)
         except Exception:
             if trainer.env_steps:
-                command = f"rrl train resume={shlex.quote(str(run_dir))}"
+                command = from_here("rrl", "train", f"resume={run_dir}")
                 console.say(f"the run is on disk; to go on with it:\n  {command}")
             raise
     finally:

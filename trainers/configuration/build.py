@@ -95,7 +95,7 @@ def trainer(config: Config, run_dir: Path, progress: Progress | None = None) -> 
     Raises:
         ValueError: See :func:`check`.
     """
-    check(config)
+    check(config, training=True)
     return Trainer(
         settings(config),
         environment(config),
@@ -109,13 +109,17 @@ def trainer(config: Config, run_dir: Path, progress: Progress | None = None) -> 
     )
 
 
-def check(config: Config) -> None:
+def check(config: Config, *, training: bool = False) -> None:
     """Find what is wrong with a configuration before any environment is built.
+
+    Args:
+        config: Resolved.
+        training: Whether it is to be trained, so that this machine needs its device.
 
     Raises:
         ValueError: With every problem, one per line: where, what was expected, what came.
     """
-    if problems := checks.problems(config):
+    if problems := checks.problems(config, training=training):
         raise ValueError("\n".join(problems))
 
 

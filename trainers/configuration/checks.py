@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import torch
 from pydantic import ValidationError
 from torchrl.data import Composite, Unbounded
 
@@ -21,8 +22,13 @@ from .target_checks import Config, Problems, check_targets, entries
 __all__ = ["problems"]
 
 
-def problems(config: Config) -> list[str]:
-    """Return everything that is wrong, one line each: where, what was expected, what came."""
+def problems(config: Config, *, training: bool = False) -> list[str]:
+    """Return everything that is wrong, one line each: where, what was expected, what came.
+
+    Args:
+        config: Resolved.
+        training: Whether it is to be trained, so that this machine needs its device.
+    """
     try:
         Schema.model_validate(config)
     except ValidationError as error:
@@ -30,8 +36,23 @@ def problems(config: Config) -> list[str]:
     built: dict[str, Any] = {}
     found = [*check_targets(config, built), *_check_render(config), *_check_init_from(config)]
     packages = config["env"].get("packages") or ()
+    found += _check_device(config) if training else ()
     found += [f"env.packages: expected installed packages, got {n!r}" for n in missing(packages)]
     return found or list(_check_entries(config, built))
+
+
+def _check_device(config: Config) -> Problems:
+    trainer = config["trainer"]
+    if config.get("launcher") == "ray" and trainer["num_seeds"] > 1:
+        return  # other machines train
+    try:
+        device = torch.device(trainer["device"])
+        kind = torch.get_device_module(device)
+        there = kind.is_available() and (device.index or 0) < kind.device_count()
+    except RuntimeError:  # no name of a device
+        there = False
+    if not there:
+        yield f"trainer.device: expected a device of this machine, got {trainer['device']!r}"
 
 
 def _check_render(config: Config) -> Problems:
@@ -40,7 +61,7 @@ def _check_render(config: Config) -> Problems:
         choices = ", ".join(scenarios)
         yield f"render.scenario: expected one of {choices} or null, got {render['scenario']!r}"
     episode, count = render["episode"], config["trainer"]["evaluation"]["final_episodes"]
-    if episode != "rescue" and (isinstance(episode, str) or not 0 <= episode < count):
+    if episode != "rescue" and not (type(episode) is int and 0 <= episode < count):
         yield f"render.episode: expected rescue or a number below {count}, got {episode!r}"
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from math import inf
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, PlainValidator, ValidationError
 
 from rrl.controllers import ZeroController
 
+from ..checked import Checked, in_words
 from ..environment import Batching
 from ..metric import Metric
 from ..settings import Positive, TrainerSettings
@@ -20,26 +21,31 @@ PlainName = Annotated[str, Field(pattern=f"^{PLAIN_NAME}$")]
 """A directory or file of that name stays where it is put."""
 Target = dict[str, Any]
 Targets = dict[str, Target | None] | None
-Scale = Annotated[float, Field(ge=0)] | list[Annotated[float, Field(ge=0)]]
+
+
+def _numbers(value: Any) -> Any:
+    for number in value if isinstance(value, list) else [value]:
+        if type(number) not in (int, float) or not 0 <= number < inf:
+            raise ValueError(f"expected a number of at least 0, or a list of such, got {value!r}")
+    return value
+
+
+Scale = Annotated[float | list[float], PlainValidator(_numbers)]
 Entries = Annotated[dict[str, dict[str, Any] | None], Field(min_length=1)]
 Side = Annotated[int, Field(gt=0, le=4096)]
 
 
-class Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class _Render(Section):
+class _Render(Checked):
     enabled: bool
     scenario: str | None
-    episode: int | str
+    episode: Any
     width: Side
     height: Side
-    format: Annotated[str, Field(pattern="^(mp4|gif)$")]
+    format: Literal["mp4", "gif"]
     fps: Annotated[float, Field(gt=0)]
 
 
-class _Env(Section):
+class _Env(Checked):
     name: str
     base: Target
     batching: Batching
@@ -59,21 +65,21 @@ class _Env(Section):
     packages: list[str] | None = None
 
 
-class _Algorithm(Section):
+class _Algorithm(Checked):
     agent: Target
     exploration: Target
     use_symmetries: bool = False
 
 
-class _InitFrom(Section):
+class _InitFrom(Checked):
     run: str | None
 
 
-class _Operator(Section):
+class _Operator(Checked):
     intervention: Target | None
 
 
-class Schema(Section):
+class Schema(Checked):
     """The configuration's layout; what a ``_target_`` takes is checked with the target itself."""
 
     name: PlainName
@@ -92,11 +98,9 @@ class Schema(Section):
     init_from: _InitFrom | None = None
     logger: Targets = None
 
-    @model_validator(mode="after")
-    def _check(self) -> Schema:
+    def _check(self) -> None:
         self.trainer.check_operator(bool(self.operator and self.operator.intervention))
         _check_arm(self.arm, str(self.controller.get("_target_")), self.trainer.total_steps)
-        return self
 
 
 def _check_arm(arm: str, controller: str, total_steps: int) -> None:
@@ -115,16 +119,9 @@ def _check_arm(arm: str, controller: str, total_steps: int) -> None:
 
 def explain(error: ValidationError, prefix: str = "") -> list[str]:
     """Return Pydantic's findings, one line each."""
-    return [_line(e, prefix) for e in error.errors()]
+    return [_line(prefix, e["loc"], in_words(e)) for e in error.errors()]
 
 
-def _line(error: Mapping[str, Any], prefix: str) -> str:
-    where = ".".join(map(str, ([prefix] if prefix else []) + list(error["loc"])))
-    message = error["msg"].removeprefix("Value error, ")
-    if error["type"] == "value_error":
-        return f"{where}: {message}" if where else message
-    if error["type"] == "extra_forbidden":
-        return f"{where}: unknown key, got {error['input']!r}"
-    if error["type"] == "missing":
-        return f"{where}: expected a value, got none"
-    return f"{where}: {message[0].lower()}{message[1:]}, got {error['input']!r}"
+def _line(prefix: str, where: tuple[int | str, ...], text: str) -> str:
+    path = ".".join(map(str, ([prefix] if prefix else []) + list(where)))
+    return f"{path}: {text}" if path else text

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import torch
 from pydantic import ValidationError
 from torchrl.data import Bounded
 
+from ..errors import place
 from ..training.factories import build, locate
 from .schema import Target, explain
 
@@ -51,10 +53,9 @@ def _check_build(path: str, node: Target, given: Config, built: dict[str, Any]) 
 
     A function may read earlier runs or play episodes: only its signature is compared.
     """
-    for key, value in node.items():
-        if isinstance(value, Mapping) and "_target_" in value:
-            yield from _check_arguments(f"{path}.{key}", dict(value), None)
-    found = list(_check_arguments(path, node, given))
+    inner = {k: n for k, n in node.items() if isinstance(n, Mapping) and "_target_" in n}
+    found = [p for k, n in inner.items() for p in _check_arguments(f"{path}.{k}", dict(n), None)]
+    found += _check_arguments(path, node, given)
     yield from found
     if found or not inspect.isclass(locate(node["_target_"])):
         return
@@ -100,7 +101,7 @@ def _check_arguments(path: str, node: Target, given: Config | int | None) -> Pro
     try:
         parameters = _parameters(locate(target))
     except (ValueError, TypeError) as error:
-        yield f"{path}: {error}"
+        yield f"{path}: {error}{_reason(error.__cause__)}"
         return
     names = [n for n, p in parameters.items() if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)]
     supplied = set(names[:given]) if isinstance(given, int) else set(given or ())
@@ -135,7 +136,14 @@ def _parameters(target: Any) -> dict[str, inspect.Parameter]:
     return kept | {n: inspect.Parameter(n, keyword, default=None) for n in fields}
 
 
+def _reason(error: BaseException | None) -> str:
+    """Return which line of the user's failed, or where a module that is not there is looked for."""
+    if (where := place(error)) or not isinstance(error, ModuleNotFoundError):
+        return where
+    return f"; a project's modules are found from its folder: call rrl there, not in {Path.cwd()}"
+
+
 def _text(error: Exception) -> str:
-    """Return an error's text on one line."""
+    """Return an error's text on one line, with its place in the user's own code."""
     text = str(error.args[0]) if isinstance(error, KeyError) and error.args else str(error)
-    return " ".join(text.split()) or type(error).__name__
+    return (" ".join(text.split()) or type(error).__name__) + place(error)

@@ -10,7 +10,6 @@ from typing import Any
 import torch
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
-from torchrl.collectors import Collector
 from torchrl.envs.utils import ExplorationType
 
 from rrl.keys import ACTION
@@ -24,6 +23,7 @@ from .collection_metrics import Authority, EpisodeReturns, collection_metrics
 from .episode_state import EpisodeInProgress
 from .interface import Annealing, Exploration, Interface, prepare
 from .profiling import measured, watch_collection
+from .torchrl_collector import Collector
 
 __all__ = ["Collection", "InTurn"]
 

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torchrl.collectors import Collector
 from torchrl.envs import EnvBase, TransformedEnv
 
 from rrl.keys import ACTION
@@ -19,6 +18,7 @@ from rrl.slot_random import seed_env
 from ..requests import has_content
 from ..resumable_env import ResumableEnv
 from ..storage.plain_state import from_entries, to_entries
+from .torchrl_collector import Collector
 
 __all__ = ["EpisodeInProgress", "goes_on_from_its_state"]
 

@@ -7,7 +7,6 @@ import pytest
 import torch
 from scipy import stats
 from tensordict import TensorDict
-from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import AdditiveGaussianModule, TanhNormal
 
@@ -278,37 +277,3 @@ def test_a_residual_learns_what_the_controller_does_not_know(algorithm, tmp_path
         with Trainer(settings, environment, agent, exploration, tmp_path / str(seed)) as trainer:
             gains.append(trainer.run()["training"].summary()["return_gain"])
     assert stats.ttest_1samp(gains, 0.0, alternative="greater").pvalue < 0.01, gains
-
-
-class WithDropout(nn.Sequential):
-    def __init__(self, in_features, out_features):
-        first, last = nn.Linear(in_features, 16), nn.Linear(16, out_features)
-        super().__init__(first, nn.ReLU(), nn.Dropout(0.5), last)
-
-    def forward(self, *inputs):
-        return super().forward(torch.cat(inputs, -1))
-
-
-@pytest.mark.parametrize("algorithm", [TD3, SAC, DDPG])
-def test_dropout_is_for_learning_alone(algorithm):
-    torch.manual_seed(0)
-    agent = algorithm(
-        {"observation": OBSERVATION},
-        ACTION,
-        network=WithDropout,
-        last_layer_bound=0.1,
-        gamma=0.9,
-    )
-    seen = TensorDict({"observation": torch.ones(1, OBSERVATION)}, [1])
-
-    @torch.no_grad()
-    def act():
-        with set_exploration_type(ExplorationType.DETERMINISTIC):
-            return agent.policy(seen.clone())["action"]
-
-    before = act()
-    assert all(torch.equal(act(), before) for _ in range(3))
-    learn(agent, 4)
-    assert not torch.equal(act(), before)
-    masks = {m.training for m in agent.loss.actor_network.modules() if isinstance(m, nn.Dropout)}
-    assert masks == {True}

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from importlib import import_module
@@ -10,6 +11,7 @@ import pytest
 from torchrl.envs.utils import check_env_specs
 
 from rrl.trainers.cli.new import create
+from rrl.trainers.training.factories import locate
 
 SMALL = [
     "trainer.total_steps=100",
@@ -78,6 +80,14 @@ def test_every_placeholder_is_replaced(tmp_path):
         assert "__project__" not in path.read_text() + str(path)
         assert path.suffix in (".py", ".md", ".yaml")
     assert (tmp_path / "reach/configs/env/reach.yaml").is_file()
+
+
+def test_what_the_readme_names_is_there(tmp_path):
+    create("reach", tmp_path)
+    text = (tmp_path / "reach/README.md").read_text()
+    named = re.findall(r"\(`([\w.]+)`\)", text)
+    assert "rrl.envs.gymnasium_env" in named  # TorchRL's GymEnv reports no success
+    assert all(callable(locate(name)) and name.startswith("rrl.") for name in named)
 
 
 def test_the_new_environment_keeps_its_specs(tmp_path, monkeypatch):

@@ -126,7 +126,7 @@ def test_the_command_prints_how_to_go_on(tmp_path):
         process.send_signal(signal.SIGTERM)
         output, errors = process.communicate(timeout=60)
     assert process.returncode == 128 + signal.SIGTERM, errors
-    assert f"rrl train resume='{run}'" in output
+    assert f"rrl train 'resume={run}'" in output
     assert "SIGTERM: finishing this round and saving" in output + errors
     assert "Traceback" not in output + errors
     assert len(list(run.glob("checkpoints/checkpoint-*"))) == 2

@@ -4,7 +4,6 @@ import json
 import multiprocessing
 import os
 import signal
-from functools import partial
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from tensordict import TensorDict
 from rrl.trainers.storage import frame_log
 from rrl.trainers.storage.frame_log import FrameLog
 from rrl.trainers.storage.replay_store import ReplayStore
-from rrl.trainers.storage.transition_log import TransitionLog
 
 SIDE = 8
 
@@ -296,14 +294,3 @@ def test_transitions_without_images_are_stored_as_ever(tmp_path):
     assert store.mark().keys() == {"count", "checksum"}
     assert store.portions(100) == [100]
     assert store.log.folder.joinpath("schema.json").is_file()
-
-
-@pytest.mark.parametrize("first", range(60, 72))
-def test_what_is_not_forgotten_can_be_read(small, monkeypatch, tmp_path, first):
-    """Files of the index end in the middle of frames that build on one another."""
-    monkeypatch.setattr(frame_log, "TransitionLog", partial(TransitionLog, segment_bytes=1000))
-    log = FrameLog.create(tmp_path / "images_01", ["pixels"], [SIDE, SIDE, 3], [3, SIDE, SIDE])
-    wanted = frames(150, moving=False)
-    log.append(wanted)
-    log.forget(first)
-    assert np.array_equal(log.read(first, 150)[0], wanted[first:])
