@@ -15,13 +15,7 @@ from torchrl.objectives import LossModule, SoftUpdate
 from torchrl.objectives.utils import ValueEstimators
 
 from rrl.algorithms.calibration import derived
-from rrl.algorithms.networks import (
-    EncodedNetwork,
-    FirstOnly,
-    acting_twin,
-    last_layer,
-    last_layer_name,
-)
+from rrl.algorithms.networks import ActingNetwork, FirstOnly, last_layer, last_layer_name
 from rrl.algorithms.precision import single_precision
 from rrl.algorithms.readings import Readings, with_shapes
 from rrl.algorithms.reward_scale import RewardScale
@@ -140,10 +134,8 @@ class Agent(nn.Module, ABC):
 
     def acting_network(self, actor: nn.Module) -> nn.Module:
         """Return the network from the inputs to the actor's output, symmetric if the task is."""
-        network = acting_twin(actor)
-        if self.symmetry is not None:
-            network = SymmetricActor(network, self.symmetry)
-        return EncodedNetwork(self.encoder, network)
+        network = actor if self.symmetry is None else SymmetricActor(actor, self.symmetry)
+        return ActingNetwork(self.encoder, network)
 
     def learn_from(
         self, loss: LossModule, critic_params: TensorDictBase, actor_params: TensorDictBase

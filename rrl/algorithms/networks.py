@@ -11,11 +11,10 @@ import torch
 from torch import Tensor, nn
 
 __all__ = [
-    "EncodedNetwork",
+    "ActingNetwork",
     "FirstOnly",
     "Linear",
     "NetworkFactory",
-    "acting_twin",
     "last_layer",
     "mlp",
 ]
@@ -76,8 +75,10 @@ def mlp(
     return _MLP(*layers, Linear(width, out_features))
 
 
-class EncodedNetwork(nn.Module):
-    """A network behind its encoder, on whatever device it lies.
+class ActingNetwork(nn.Module):
+    """A network behind its encoder as it acts, on whatever device it lies.
+
+    It shares the network's tensors and is without what is for learning alone, such as dropout.
 
     Args:
         encoder: From input entries to features.
@@ -86,7 +87,8 @@ class EncodedNetwork(nn.Module):
 
     def __init__(self, encoder: nn.Module, network: nn.Module) -> None:
         super().__init__()
-        self.encoder, self.network = encoder, network
+        shared = {id(tensor): tensor for tensor in (*network.parameters(), *network.buffers())}
+        self.encoder, self.network = encoder, copy.deepcopy(network, shared).eval()
 
     def forward(self, *values: Tensor) -> Tensor:
         """Return the network's output ``[*batch, out]`` on the device of the values."""
@@ -109,15 +111,6 @@ class FirstOnly(nn.Module):
     def forward(self, first: Tensor, *others: Tensor) -> Tensor:
         """Return the network's output."""
         return self.network(first)
-
-
-def acting_twin(network: nn.Module) -> nn.Module:
-    """Return the network as it acts: the same tensors, without what is for learning alone.
-
-    Dropout is, and modules know it by their mode, which a network has once.
-    """
-    shared = {id(tensor): tensor for tensor in (*network.parameters(), *network.buffers())}
-    return copy.deepcopy(network, shared).eval()
 
 
 def last_layer(network: nn.Module) -> Any:
