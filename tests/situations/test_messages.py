@@ -61,7 +61,12 @@ def test_the_command_to_go_on_names_its_folder(tmp_path, monkeypatch, capsys):
     home = tmp_path / "my project"
     home.mkdir()
     monkeypatch.chdir(home)
-    monkeypatch.setattr("rrl.trainers.training.trainer.Trainer.run", lambda self: 1 / 0)
+
+    def breaks(trainer):
+        trainer.counters["env_steps"] = 20
+        return 1 / 0
+
+    monkeypatch.setattr("rrl.trainers.training.trainer.Trainer.run", breaks)
     assert main(["train", *SMALL, "hydra.run.dir=run"]) == 2
     command = f"cd '{home}' && rrl train 'resume={home}/run'"
     assert f"to go on with it:\n  {command}\n" in capsys.readouterr().out

@@ -8,6 +8,7 @@ import torch
 from torchrl.data import NonTensor, Unbounded
 
 from rrl.controllers import ProportionalController
+from rrl.trainers.seeds import Stream
 from situation_envs import Machine
 
 ENTRIES = {"position": Unbounded((2,)), "target": Unbounded((2,))}
@@ -28,7 +29,7 @@ class Robot(Machine):
 def test_the_robot_never_gets_it_and_it_is_counted(make_trainer, factory):
     controller = partial(ProportionalController, "position", "target")
     with make_trainer(factory(partial(Robot, ENTRIES), controller=controller)) as trainer:
-        found = trainer.run()["training"].residual
+        found = trainer.evaluator.play(trainer.policy, "training", Stream.FINAL, 2)
     assert found.limited["finite"].tolist() == [1, 1]
     assert found.lengths.tolist() == [6, 6]  # the episode ends with that step
 

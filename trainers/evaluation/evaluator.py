@@ -109,6 +109,7 @@ class Evaluator:
                 if stop_of(env) is None:
                     run_episodes(env, zero_residual(env), 1, 0, 1, factory.metrics)
             except Exception as error:
+                self._requests.check()  # raises where the run is to end
                 raise RuntimeError(f"scenario {scenario}: {error}") from error
 
     def side_by_side(self, scenario: str, at_most: int) -> int:

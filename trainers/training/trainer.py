@@ -179,8 +179,6 @@ class Trainer(AbstractContextManager["Trainer"]):
             FloatingPointError: If losses or parameters are not finite; the checkpoint before stays.
         """
         self.require_new_or_resumed()
-        if self.settings.collection != "realtime":  # there the robot is another process's
-            self.evaluator.try_out()
         GlobalRNGState().load_state_dict(self._generators)
         for logger in self.loggers:
             logger.start(self.run_dir, self.config, self.env_steps)
@@ -190,8 +188,10 @@ class Trainer(AbstractContextManager["Trainer"]):
         with self.collection.attended(), self.interruption.listening(), progress, keys:
             if self.env_steps == 0:
                 self._save()
-                if self.settings.evaluation.every:
-                    self._evaluate()
+            if self.settings.collection != "realtime":  # there the robot is another process's
+                self.evaluator.try_out()
+            if self.env_steps == 0 and self.settings.evaluation.every:
+                self._evaluate()
             while self.env_steps < self.settings.total_steps:
                 self._stop_if_asked()
                 self._round()

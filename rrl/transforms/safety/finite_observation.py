@@ -12,7 +12,7 @@ from torch import Tensor
 from torchrl.data import Binary, Composite
 
 from rrl.checks import check_whole, require
-from rrl.keys import REWARD, SAFETY
+from rrl.keys import BASE_ACTION, REWARD, SAFETY
 from rrl.slot_masks import any_done, merge, truncate
 from rrl.transforms.base import Mask, Memory, SlotTransform
 
@@ -130,7 +130,8 @@ class FiniteObservation(SlotTransform):
         return {key: value for key, value in values.items() if value.is_floating_point()}
 
     def _bear(self, broken: Iterable[NestedKey]) -> None:
-        names = ", ".join(map(str, broken))
+        # What the controller says follows from what it reads.
+        names = ", ".join(str(key) for key in broken if key != BASE_ACTION) or BASE_ACTION
         self._in_a_row += 1
         if self._in_a_row > self.patience:
             raise FloatingPointError(

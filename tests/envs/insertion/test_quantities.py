@@ -143,7 +143,7 @@ def test_success(changes: dict, expected: bool) -> None:
     assert out["success"].tolist() == [[expected]]
 
 
-@pytest.mark.parametrize("name", ["insertion-sim", "insertion-real", "insertion-pixels"])
+@pytest.mark.parametrize("name", ["insertion-sim", "shared/tracked", "insertion-pixels"])
 def test_the_yaml_declares_every_metric(name: str) -> None:
     path = Path(__file__).parents[3] / "configs" / "env" / f"{name}.yaml"
     declared = yaml.safe_load(path.read_text())["metrics"]

@@ -101,6 +101,7 @@ def outcome(tmp_path):
         config = {"trainer": trainer, "env": {"scenarios": {name: {} for name in results}}}
         config["controller"] = {"_target_": "rrl.controllers.ProportionalController"}
         (path / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
+        (path / "versions.json").write_text(json.dumps({"torch": "2.0"}))
         return Run(path, path.name)
 
     return make

@@ -24,6 +24,7 @@ LOGGED = [
     ),
     *("acceptance/episodes", "acceptance/evidence", "acceptance/alpha_left"),
     *("action/residual_share", "action/residual_rms", "action/clip_fraction"),
+    *("intervention/steps", "constraint/contact_force/multiplier", "realtime/faults"),
     *("train/reward", "train/reward_terms/tilt", "loss/loss_critic", "safety/force", "time/update"),
 ]
 
