@@ -156,7 +156,7 @@ class Evaluator:
         self._compared = True
         found = (
             "episodes that the environment would go on with are cut off in evaluations, and not in "
-            "training; let it end them"
+            "training; raise the limit, or let the environment end them"
             if played.cut
             else f"all {len(lengths)} episodes of the controller ended after {lengths[0]} steps"
         )
