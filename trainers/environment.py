@@ -106,8 +106,8 @@ class EnvironmentFactory:
         return replace(self, base=partial(self.base, **overrides))
 
     def described(self) -> dict[str, Any]:
-        """Return what the environment is made of and with, in plain JSON and without modules."""
-        fields = ["base", "controller", "disturbances", "sensing", "safety", "residual_scale"]
+        """Return what stands around the bare environment, in plain JSON and without modules."""
+        fields = ["controller", "disturbances", "sensing", "safety", "residual_scale"]
         fields += ["batching", "max_episode_steps", "action_history", "symmetries"]
         return {name: plain(getattr(self, name), modules=False) for name in fields}
 

@@ -28,7 +28,6 @@ MAY_CHANGE = (
     "trainer.total_steps",
     "trainer.evaluation.*",
     "trainer.acceptance.episodes",
-    "environment.base.num_threads",
     "env.scenarios*",
     "algorithm.agent.*_lr",
     "algorithm.agent.compiled",
