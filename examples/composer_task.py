@@ -33,7 +33,8 @@ def main(run_dir="outputs/composer_task", **settings):
         base=lambda: ComposerEnv(manipulation.load("reach_site_features")),
         controller=lambda: TransposedJacobian(KEYS),
         inputs=[*KEYS, "jaco_arm/joints_pos"],
-        **{"residual_scale": 0.3, "batching": "serial", "max_episode_steps": 250},
+        batching="serial",
+        max_episode_steps=250,
     )
     with Trainer(TrainerSettings(**settings), environment, run_dir=run_dir) as trainer:
         return trainer.run()["training"].summary()

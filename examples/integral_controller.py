@@ -25,10 +25,9 @@ class Integral(StatefulController):
 
 def main(run_dir="outputs/integral_controller", **settings):
     """Train a residual on the integral controller and return the comparison with the controller alone."""
-    keys, serial = ["position", "goal"], {"batching": "serial", "max_episode_steps": 20}
-    environment = EnvironmentFactory(
-        Point, partial(Integral, keys), [*keys, "base_action"], **serial
-    )
+    keys = ["position", "goal"]
+    serial = partial(EnvironmentFactory, batching="serial", max_episode_steps=20)
+    environment = serial(Point, partial(Integral, keys), [*keys, "base_action"])
     with Trainer(TrainerSettings(num_envs=2, **settings), environment, run_dir=run_dir) as trainer:
         return trainer.run()["training"].summary()
 

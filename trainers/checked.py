@@ -15,7 +15,6 @@ from pydantic import (
     model_validator,
 )
 from pydantic_core import InitErrorDetails, PydanticCustomError
-from typing_extensions import Self
 
 __all__ = ["Checked", "in_words"]
 
@@ -35,7 +34,7 @@ class Checked(BaseModel):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _said_plainly(cls, values: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+    def _said_plainly(cls, values: Any, handler: ModelWrapValidatorHandler[Any]) -> Any:
         try:
             checked = handler(values)
             checked._check()

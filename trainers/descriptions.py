@@ -21,9 +21,8 @@ def named(make: Any, *, modules: bool = True) -> dict[str, Any]:
         modules: Whether names begin with the module, which differs between a script and its import.
     """
     if isinstance(make, partial):
-        given = plain({"arguments": make.args, **make.keywords}, modules=modules)
-        given = given if make.args else {k: v for k, v in given.items() if k != "arguments"}
-        return {**named(make.func, modules=modules), **given}
+        given = ({"arguments": make.args} if make.args else {}) | make.keywords
+        return {**named(make.func, modules=modules), **plain(given, modules=modules)}
     name = getattr(make, "__qualname__", type(make).__qualname__)
     module = getattr(make, "__module__", type(make).__module__)
     return {"class": f"{module}.{name}" if modules else name}

@@ -106,10 +106,10 @@ class EnvironmentFactory:
         return replace(self, base=partial(self.base, **overrides))
 
     def described(self) -> dict[str, Any]:
-        """Return what stands around the bare environment, in plain JSON and without modules."""
+        """Return what stands around the bare environment: ``{"environment": {name: JSON}}``."""
         fields = ["controller", "disturbances", "sensing", "safety", "residual_scale"]
         fields += ["batching", "max_episode_steps", "action_history", "symmetries"]
-        return {name: plain(getattr(self, name), modules=False) for name in fields}
+        return {"environment": plain({n: getattr(self, n) for n in fields}, modules=False)}
 
     def make(self, num_envs: int = 1, *, operated: bool = False) -> ResumableEnv:
         """Build the environment with ``num_envs`` slots.

@@ -114,7 +114,7 @@ class CompiledUpdate:
         before = copy.deepcopy(self._module.state_dict())
 
         def put_back() -> None:
-            self._module.load_state_dict(before)
+            self._module.load_state_dict(copy.deepcopy(before))  # some keep what they are given
 
         self._update(*tensors)  # what is made at first use is then made of real tensors
         put_back()

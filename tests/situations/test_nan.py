@@ -30,6 +30,8 @@ def test_the_robot_never_gets_it_and_it_is_counted(make_trainer, factory):
     controller = partial(ProportionalController, "position", "target")
     with make_trainer(factory(partial(Robot, ENTRIES), controller=controller)) as trainer:
         found = trainer.evaluator.play(trainer.policy, "training", Stream.FINAL, 2)
+        with pytest.raises(FloatingPointError, match="expected finite numbers"):
+            trainer.run()  # without the robot's objection
     assert found.limited["finite"].tolist() == [1, 1]
     assert found.lengths.tolist() == [6, 6]  # the episode ends with that step
 

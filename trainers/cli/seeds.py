@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from ..report.report import write_report
 from ..report.runs import Group, Run, find_runs
 from ..report.tables import handed_over, markdown_tables, terminal_tables
 from ..storage.checkpoints import saved_note
-from ..storage.files import lock, write_atomically
+from ..storage.files import claimed, write_atomically
 from ..storage.run_files import CHECKPOINTS, CONFIG_FILE, REPORT, seed_directories
 from ..storage.same_run import require_same_run
 from .evaluate import film_run, only_said
@@ -47,9 +46,7 @@ def train_seeds(config: assembly.Config, run_dir: Path, console: Output, *, resu
         Job(run_dir / f"seed-{seed}", one_seed(config, seed))
         for seed in range(first, first + count)
     ]
-    run_dir.mkdir(parents=True, exist_ok=True)
-    held = lock(run_dir)
-    try:
+    with claimed(run_dir):
         present = seed_directories(run_dir)
         if (run_dir / CHECKPOINTS).exists() or (present and not resume):
             raise FileExistsError(f"{run_dir} holds a run already: choose another directory")
@@ -66,8 +63,6 @@ def train_seeds(config: assembly.Config, run_dir: Path, console: Output, *, resu
         if done:
             _show(config, find_runs(done), run_dir, console)
         require_all(ending, console)
-    finally:
-        os.close(held)
 
 
 def _show(config: assembly.Config, runs: Sequence[Run], run_dir: Path, console: Output) -> None:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Sequence
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from rich.text import Text
 from ..console import Output
 from ..launch.job import Job
 from ..launch.pool import Ending, launch, require_all
-from ..storage.files import lock
+from ..storage.files import claimed
 from ..training.interruption import Interruption
 from .claims import Verdict, judge
 from .data import keep, take
@@ -67,24 +66,14 @@ def reproduce(
     planning.check()
     console.say(f"the store is {out}")
     jobs = plan_jobs(points, out)
-    with _alone_in(out) if settings.workers != 0 else nullcontext():
+    # Of two commands each would take the other's runs for its own.
+    with claimed(out) if settings.workers != 0 else nullcontext():
         ending = _run(jobs, settings, console, again)
     name = "-".join(("report", *names))
     report = out / f"{name}.html"
     _show(experiments, points, settings, ending, report, console)
     require_all(ending, console)
     return report
-
-
-@contextmanager
-def _alone_in(store: Path) -> Iterator[None]:
-    """Keep others from running the same runs: each would take them for its own."""
-    store.mkdir(parents=True, exist_ok=True)
-    held = lock(store)
-    try:
-        yield
-    finally:
-        os.close(held)
 
 
 def _run(jobs: Sequence[Job], settings: Settings, console: Output, again: str) -> Ending:

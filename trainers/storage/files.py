@@ -7,7 +7,8 @@ import fcntl
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +113,17 @@ def lock(folder: Path) -> int:
         return _locked(folder / LOCK, os.O_RDWR | os.O_CREAT)
     except BlockingIOError:
         raise BlockingIOError(f"{folder}: another process is training in this directory") from None
+
+
+@contextmanager
+def claimed(folder: Path) -> Iterator[None]:
+    """Claim a directory, which is made if need be, while the body runs; see :func:`lock`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    held = lock(folder)
+    try:
+        yield
+    finally:
+        os.close(held)
 
 
 def _locked(path: Path, flags: int) -> int:

@@ -47,7 +47,7 @@ log = logging.getLogger(__name__)
 
 
 class Trainer(AbstractContextManager["Trainer"]):
-    """Trains one residual policy, if nothing else is given as ``rrl train`` does.
+    """Trains one residual policy, by default as ``rrl train`` does; ``with`` closes it.
 
     Args:
         settings: How long, how often, how many.
@@ -80,8 +80,7 @@ class Trainer(AbstractContextManager["Trainer"]):
         lengths = saved_note(self.run_dir).get("lengths")
         self.settings = settings = given.derived(environment.max_episode_steps, lengths)
         self.loggers = [Guarded(g) for g in ([CSVLogger()] if loggers is None else loggers)]
-        made_here = {"trainer": given.model_dump(), "environment": environment.described()}
-        self.config = as_json(config or made_here)
+        self.config = as_json(config or {"trainer": given.model_dump(), **environment.described()})
         self.interruption, self.stopwatch, self.profile = Interruption(), Stopwatch(), Profile()
         self.progress = progress or Progress.silent()
         settings.check_operator(environment.intervention is not None)
@@ -177,6 +176,7 @@ class Trainer(AbstractContextManager["Trainer"]):
             Interrupted: If a signal asked for it; the run is saved.
             FileExistsError, BlockingIOError: See :meth:`require_new_or_resumed`.
             FloatingPointError: If losses or parameters are not finite; the checkpoint before stays.
+            RuntimeError: If a scenario cannot be played.
         """
         self.require_new_or_resumed()
         GlobalRNGState().load_state_dict(self._generators)

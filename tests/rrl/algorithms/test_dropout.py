@@ -6,7 +6,7 @@ from tensordict import TensorDict
 from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from agents import ACTION, OBSERVATION, learn
+from agents import ACTION, OBSERVATION, learn, parameters
 from rrl.algorithms import DDPG, SAC, TD3
 
 
@@ -42,3 +42,23 @@ def test_dropout_is_for_learning_alone(algorithm):
     assert not torch.equal(act(), before)
     masks = {m.training for m in agent.loss.actor_network.modules() if isinstance(m, nn.Dropout)}
     assert masks == {True}
+
+
+@pytest.mark.slow
+def test_a_compiled_update_drops_what_the_eager_one_drops():
+    def learned(compiled):
+        torch.manual_seed(0)
+        agent = TD3(
+            {"observation": OBSERVATION},
+            ACTION,
+            network=WithDropout,
+            last_layer_bound=0.1,
+            gamma=0.9,
+            compiled=compiled,
+        )
+        learn(agent, 4)
+        return parameters(agent)
+
+    eager, compiled = learned(False), learned(True)
+    for name, value in eager.items():
+        torch.testing.assert_close(compiled[name], value, atol=1e-5, rtol=1e-4)

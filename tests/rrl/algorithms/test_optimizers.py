@@ -28,3 +28,20 @@ def test_a_learner_that_goes_on_has_its_moments_and_the_new_learning_rate(optimi
         assert torch.equal(parameters(same)[name], value), name
         if "target" not in name and name.startswith("loss."):
             torch.testing.assert_close(parameters(slow)[name], saved[name], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("goes_on", [False, True])
+def test_an_attempt_to_compile_leaves_no_step_in_the_moments(goes_on):
+    """An optimizer of torch cannot be compiled, and keeps its moments beside the tensors."""
+    make = partial(make_agent, optimizer=OPTIMIZERS["torch's"], last_layer_bound=0.1)
+    eager, compiled = make(), make(compiled=True)
+    if goes_on:
+        learn(eager, 2)
+        compiled.load_state_dict(copy.deepcopy(eager.state_dict()))
+    learn(eager, 2, seed=1)
+    with pytest.warns(UserWarning, match="the update is not compiled"):
+        learn(compiled, 2, seed=1)
+    learn(eager, 2, seed=2)
+    learn(compiled, 2, seed=2)
+    for name, value in parameters(eager).items():
+        assert torch.equal(parameters(compiled)[name], value), name

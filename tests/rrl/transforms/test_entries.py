@@ -245,3 +245,12 @@ def test_one_name_instead_of_a_list() -> None:
 
     assert Reads("goal").in_keys == ["goal"]
     assert Reads([("a", ("b", "c"))]).in_keys == [("a", "b", "c")]
+
+
+def test_what_an_episode_came_to_is_single_precision_whatever_the_default_is() -> None:
+    torch.set_default_dtype(torch.float64)
+    try:
+        env = TransformedEnv(PointMass([2]), EpisodeValue({"success": "sum"}))
+        check_env_specs(env)
+    finally:
+        torch.set_default_dtype(torch.float32)
