@@ -91,20 +91,7 @@ def gymnasium_env(
         def physics_state(self) -> Any:
             return (state or mujoco_state)(env)
 
-    if isinstance(make, gymnasium.Env) or not (isinstance(make, str) or callable(make)):
-        got = "an environment" if hasattr(make, "step") else f"a {type(make).__name__}"
-        raise TypeError(
-            f"make: expected a name or a function that makes it, got {got}; every slot has an "
-            "environment of its own"
-        )
-    seed_env = seed
-    if isinstance(make, str):
-        env = gymnasium.make(make, max_episode_steps=max_episode_steps, **arguments)
-    else:
-        env = make(**arguments)
-    if not isinstance(env, gymnasium.Env):
-        remedy = "; batching: serial or parallel runs copies" if hasattr(env, "num_envs") else ""
-        raise TypeError(f"make: expected one gymnasium.Env, got a {type(env).__name__}{remedy}")
+    seed_env, env = seed, _made(make, max_episode_steps, arguments)
     limited = env
     if max_episode_steps is not None and not isinstance(make, str):
         limited = gymnasium.wrappers.TimeLimit(env, max_episode_steps)
@@ -112,6 +99,26 @@ def gymnasium_env(
     if success is not None:
         wrapped.set_info_dict_reader(_SuccessReader())
     return wrapped
+
+
+def _made(make: Any, max_episode_steps: int | None, arguments: dict[str, Any]) -> Any:
+    """Return the one environment that ``make`` gives; see :func:`gymnasium_env`."""
+    import gymnasium
+
+    if isinstance(make, gymnasium.Env) or not (isinstance(make, str) or callable(make)):
+        got = "an environment" if hasattr(make, "step") else f"a {type(make).__name__}"
+        raise TypeError(
+            f"make: expected a name or a function that makes it, got {got}; every slot has an "
+            "environment of its own"
+        )
+    if isinstance(make, str):
+        env = gymnasium.make(make, max_episode_steps=max_episode_steps, **arguments)
+    else:
+        env = make(**arguments)
+    if not isinstance(env, gymnasium.Env):
+        remedy = "; batching: serial or parallel runs copies" if hasattr(env, "num_envs") else ""
+        raise TypeError(f"make: expected one gymnasium.Env, got a {type(env).__name__}{remedy}")
+    return env
 
 
 class _Named(GymWrapper):
