@@ -33,7 +33,7 @@ USAGE = """usage: rrl COMMAND [key=value ...]
   rrl report RUN... [out=FILE]          write one interactive page about runs, side by side
   rrl dashboard entity=USER [project=P] lay out the W&B workspace (extra rrl[dashboard])
   rrl reproduce [NAME ...] [key=value]  make the paper's experiments again, all or those named;
-                                        scale=quick|paper launcher=local|ray workers=N
+                                        scale=quick|paper seeds=N launcher=local|ray workers=N
                                         out=FOLDER data=FOLDER
   rrl new NAME                          make a project with environment, controller, configuration
 

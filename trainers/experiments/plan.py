@@ -164,7 +164,7 @@ def _points_of(experiment: Experiment, settings: Settings, compose: Compose) -> 
             )
         _check_steps(experiment, config["trainer"])
         _check_metric(experiment, config["env"])
-        key, seeds = _key(config, used), tuple(range(experiment.seeds or scale.seeds))
+        key, seeds = _key(config, used), tuple(range(settings.seeds_of(experiment)))
         swept = sweep.name if sweep else ""
         asked = arm, value, key, overrides, config, seeds, used, shown
         return Point(experiment.name, *asked, swept=swept)

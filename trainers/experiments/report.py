@@ -46,8 +46,8 @@ class Shown:
     @property
     def introduction(self) -> str:
         """Scale, seeds and statistics."""
-        usual = self.settings.scales[self.settings.scale].seeds
-        seeds = " or ".join(map(str, sorted({e.seeds or usual for e in self.experiments})))
+        counts = {self.settings.seeds_of(experiment) for experiment in self.experiments}
+        seeds = " or ".join(map(str, sorted(counts)))
         return f"Scale `{self.settings.scale}`: {seeds} seeds, each a run of its own. {STATISTICS}"
 
 

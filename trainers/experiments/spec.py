@@ -135,6 +135,7 @@ class Settings(_Section):
     """What ``rrl reproduce`` reads: :file:`configs/reproduce.yaml` and its command line."""
 
     scale: str
+    seeds: Annotated[int, Field(ge=1, strict=True)] | None = None
     launcher: Literal["local", "ray"]
     workers: Annotated[int, Field(ge=0, strict=True)] | None
     out: str
@@ -147,6 +148,10 @@ class Settings(_Section):
         if self.scale not in self.scales:
             raise ValueError(f"scale: expected one of {', '.join(self.scales)}, got {self.scale!r}")
         return self
+
+    def seeds_of(self, experiment: Experiment) -> int:
+        """Return how many seeds an experiment has; the command line's number comes first."""
+        return self.seeds or experiment.seeds or self.scales[self.scale].seeds
 
 
 def load_experiments(names: Sequence[str], folders: Sequence[Path]) -> list[Experiment]:
@@ -186,12 +191,11 @@ def load_settings(folders: Sequence[Path], changes: dict[str, Any]) -> Settings:
         ValueError: If keys or values are unknown.
     """
     path = next(folder / DEFAULTS for folder in folders if (folder / DEFAULTS).is_file())
-    values = _content(path)
-    changeable = [key for key, value in values.items() if not isinstance(value, (list, dict))]
+    changeable = [name for name in Settings.model_fields if name not in ("overrides", "scales")]
     if unknown := sorted(set(changes) - set(changeable)):
         choices = ", ".join(changeable)
         raise ValueError(f"setting: expected one of {choices}, got {', '.join(unknown)}")
-    return _validated(Settings, {**values, **changes}, path.name)
+    return _validated(Settings, {**_content(path), **changes}, path.name)
 
 
 def _with_runs(experiment: Experiment, other: Experiment) -> Experiment:

@@ -78,6 +78,18 @@ def test_every_seed_is_a_run_and_only_missing_ones_are_added(points, folders, tm
     assert all(job.config["trainer"]["num_seeds"] == 1 for job in jobs)
 
 
+@pytest.mark.parametrize("own", [None, 4])
+def test_the_number_of_seeds_of_the_command_line_comes_first(
+    experiments, compose, folders, tmp_path, own
+):
+    write(folders[0] / "experiment/some.yaml", {**EXPERIMENT, "seeds": own})
+    usual = plan_points(experiments("some"), load_settings(folders, {}), compose)
+    few = plan_points(experiments("some"), load_settings(folders, {"seeds": 1}), compose)
+    assert {p.seeds for p in usual} == {tuple(range(own or 2))}
+    assert {p.seeds for p in few} == {(0,)}
+    assert [p.key for p in usual] == [p.key for p in few]
+
+
 def test_a_change_of_configuration_is_another_run_and_a_change_of_logging_is_not(points, folders):
     before = points("drift")[0].key
     for change, same in (
@@ -175,7 +187,8 @@ def test_wrong_runs_are_named_before_the_first_one_starts(run, project):
     ("changes", "message"),
     [
         ({"scale": "huge"}, "expected one of tiny, got 'huge'"),
-        ({"sclae": "tiny"}, "expected one of scale, launcher, workers, out, data, got"),
+        ({"sclae": "tiny"}, "expected one of scale, seeds, launcher, workers, out, data, got"),
+        ({"seeds": 0}, "seeds"),
         ({"workers": -1}, "workers"),
         ({"workers": True}, "workers"),
         ({"launcher": "slurm"}, "launcher"),
