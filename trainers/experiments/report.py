@@ -48,7 +48,7 @@ class Shown:
         """Scale, seeds and statistics."""
         counts = {self.settings.seeds_of(experiment) for experiment in self.experiments}
         seeds = " or ".join(map(str, sorted(counts)))
-        return f"Scale `{self.settings.scale}`: {seeds} seeds, each a run of its own. {STATISTICS}"
+        return f"Scale `{self.settings.scale}`, seeds: {seeds}, each a run of its own. {STATISTICS}"
 
 
 def write_experiments(
@@ -115,7 +115,7 @@ def _add(
         return
     png = shown.figures[experiment.name]
     figure = png.relative_to(beside) if beside else png.with_suffix(".svg")
-    add_experiment(page, experiment, finding, figure, shown.settings.scale)
+    add_experiment(page, experiment, finding, figure, shown.settings.as_arguments)
 
 
 def _versions_of_runs(shown: Shown) -> str:

@@ -33,7 +33,7 @@ def add_claims(page: Page | MarkdownPage, verdicts: Sequence[Verdict]) -> None:
 
 
 def add_experiment(
-    page: Page | MarkdownPage, experiment: Experiment, finding: Finding, figure: Path, scale: str
+    page: Page | MarkdownPage, experiment: Experiment, finding: Finding, figure: Path, how: str
 ) -> None:
     """Add an experiment's figure and tables, what they cost and the command that makes them."""
     if experiment.figure == "tasks":
@@ -44,8 +44,7 @@ def add_experiment(
         page.table(*front_rows(experiment, finding))
     elif experiment.figure not in ("spread", "tasks"):
         _tables(page, experiment, finding)
-    again = f"rrl reproduce {experiment.name} scale={scale}"
-    page.text(f"{effort(finding)} Again: `{again}`.")
+    page.text(f"{effort(finding)} Again: `rrl reproduce {experiment.name} {how}`.")
 
 
 def _tables(page: Page | MarkdownPage, experiment: Experiment, finding: Finding) -> None:

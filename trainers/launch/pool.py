@@ -130,11 +130,12 @@ def _check(jobs: Sequence[Job]) -> None:
 
 
 def _ready(waiting: Sequence[Job], ending: Ending, free: int) -> list[Job]:
-    """Return jobs whose needs are finished; those that others wait for first, then the longest."""
+    """Return the first jobs whose needs are finished.
+
+    The order is the plan's, seed after seed: whoever stops early has equally many seeds everywhere.
+    """
     done = {job.path for job in ending.done}
-    needed = {path for job in waiting for path in job.needs}
-    able = [job for job in waiting if done.issuperset(job.needs)]
-    return sorted(able, key=lambda job: (job.path not in needed, -job.total_steps))[: max(0, free)]
+    return [job for job in waiting if done.issuperset(job.needs)][: max(0, free)]
 
 
 def _collect(

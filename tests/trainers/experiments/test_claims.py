@@ -174,7 +174,7 @@ def test_the_results_are_a_page_for_a_repository(outcome, tmp_path):
 def test_an_experiment_without_a_finished_run_is_named(outcome, tmp_path):
     shown = replace(shown_of(outcome, tmp_path), findings={}, verdicts=[])
     page = write_experiments(shown, None, {}, tmp_path / "r.html").read_text()
-    assert "Scale <code>quick</code>: 3 seeds" in page
+    assert "Scale <code>quick</code>, seeds: 3" in page
     assert page.count("No run is finished yet.") == 2
 
 
