@@ -41,7 +41,7 @@ def keep(job: Job, data: Path) -> None:
     """Write what is kept of a finished run below ``data``."""
     run, folder = Run(job.path, job.name), _folder(job, data)
     folder.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(job.path / CONFIG_FILE, folder / CONFIG_FILE)
+    write_atomically(folder / CONFIG_FILE, _config(job))
     if reads_positions(run):
         write_atomically(folder / POSITIONS, _json(spatial_variance(run).tolist()))
     write_atomically(folder / METRICS, _record(run))
@@ -90,6 +90,14 @@ def _folder(job: Job, data: Path) -> Path:
     key = job.path.parent.name.rpartition("-")[2]
     present = sorted(data.glob(f"*-{key}"))
     return (present[0] if present else data / job.path.parent.name) / job.path.name
+
+
+def _config(job: Job) -> str:
+    """Return the configuration, with the runs that it starts from named as they are kept."""
+    text = (job.path / CONFIG_FILE).read_text(encoding="utf-8")
+    for source in job.needs:
+        text = text.replace(str(source), f"{source.parent.name}/{source.name}")
+    return text
 
 
 def _record(run: Run) -> str:

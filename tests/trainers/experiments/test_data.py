@@ -99,6 +99,9 @@ def test_how_widely_a_run_moved_is_kept_without_its_transitions(experiment, run,
 def test_a_run_that_others_have_yet_to_start_from_is_trained(experiment, run, project):
     experiment(CHAIN)
     run("some", data="kept")
+    configs = [p.read_text() for p in (project / "kept").rglob("config.yaml")]
+    assert not any(str(project / "out") in text for text in configs)  # it says nothing elsewhere
+    assert sum("run: some-first-" in text for text in configs) == 2
     shutil.rmtree(next((project / "kept").glob("some-from-it-*/seed-1")))
     _, said = run("some", data="kept", out="elsewhere")
     assert "2 runs are taken from" in said  # seed 0 of both
