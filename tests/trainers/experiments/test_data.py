@@ -98,7 +98,9 @@ def test_how_widely_a_run_moved_is_kept_without_its_transitions(experiment, run,
 @pytest.mark.slow
 def test_a_run_that_others_have_yet_to_start_from_is_trained(experiment, run, project):
     experiment(CHAIN)
-    run("some", data="kept")
+    _, said = run("some", data="kept", workers=1)
+    started = re.findall(r"started\s+some-(first|from-it)-\w+/seed-(\d)", said)
+    assert started == [("first", "0"), ("from-it", "0"), ("first", "1"), ("from-it", "1")]
     configs = [p.read_text() for p in (project / "kept").rglob("config.yaml")]
     assert not any(str(project / "out") in text for text in configs)  # it says nothing elsewhere
     assert sum("run: some-first-" in text for text in configs) == 2
