@@ -34,9 +34,9 @@ __all__ = ["Agent"]
 class Agent(nn.Module, ABC):
     """A learner: actor, critics, a TorchRL loss, target networks, optimizers.
 
-    A subclass makes its networks with :meth:`make_actor` and :meth:`make_critics`, hands its loss
-    to :meth:`learn_from`, and implements :meth:`value_loss` and :meth:`actor_loss`. Random numbers,
-    of initial weights, losses and acting, come from torch's global generator.
+    A subclass makes its networks (:meth:`make_actor`, :meth:`make_policy`, :meth:`make_critics`),
+    hands its loss to :meth:`learn_from`, and implements :meth:`value_loss` and :meth:`actor_loss`.
+    Random numbers of weights, losses and acting come from torch's global generator.
 
     Args:
         inputs: Observation entries that the policy reads, or their sizes.
@@ -125,17 +125,17 @@ class Agent(nn.Module, ABC):
             TensorDictModule(n, in_keys=keys, out_keys=["state_action_value"]) for n in networks
         ]
 
-    def learning_network(self, actor: nn.Module) -> nn.Module:
-        """Return the network from :attr:`read_keys` to the actor's output, for the loss.
+    def make_policy(self, actor: nn.Module) -> Any:
+        """Make :attr:`policy` of the actor network; return the actor module for the loss."""
+        acting = actor if self.symmetry is None else SymmetricActor(actor, self.symmetry)
+        self.policy = self.actor_module(ActingNetwork(self.encoder, acting), list(self.inputs))
+        # TorchRL's losses give critics nothing that is not among the actor's keys.
+        learning = actor if len(self.read_keys) == 1 else FirstOnly(actor)
+        return self.actor_module(learning, list(self.read_keys))
 
-        TorchRL's losses give critics nothing that is not among the actor's keys.
-        """
-        return actor if len(self.read_keys) == 1 else FirstOnly(actor)
-
-    def acting_network(self, actor: nn.Module) -> nn.Module:
-        """Return the network from the inputs to the actor's output, symmetric if the task is."""
-        network = actor if self.symmetry is None else SymmetricActor(actor, self.symmetry)
-        return ActingNetwork(self.encoder, network)
+    def actor_module(self, network: nn.Module, keys: list[NestedKey]) -> Any:
+        """Return the module from ``keys`` to ``action``; a stochastic policy has its own."""
+        return TensorDictModule(network, in_keys=keys, out_keys=[ACTION])
 
     def learn_from(
         self, loss: LossModule, critic_params: TensorDictBase, actor_params: TensorDictBase

@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.objectives import DDPGLoss
 
 from rrl.algorithms.base import Agent
 from rrl.algorithms.precision import single_precision
-from rrl.keys import ACTION
 
 __all__ = ["DDPG"]
 
@@ -33,14 +31,8 @@ class DDPG(Agent):
                 "encoder: expected one that learns nothing, because TorchRL's DDPGLoss passes no "
                 "gradient to it; use TD3 (num_critics=1 and target_subset=1 is the nearest), or SAC"
             )
-        network = nn.Sequential(self.make_actor(action_size), nn.Tanh())
-        self.policy = TensorDictModule(
-            self.acting_network(network), in_keys=list(self.inputs), out_keys=[ACTION]
-        )
         loss = DDPGLoss(
-            TensorDictModule(
-                self.learning_network(network), in_keys=self.read_keys, out_keys=[ACTION]
-            ),
+            self.make_policy(nn.Sequential(self.make_actor(action_size), nn.Tanh())),
             self.make_critics(1)[0],
             loss_function=self.settings.loss_function,
             delay_actor=True,

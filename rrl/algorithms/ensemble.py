@@ -57,11 +57,11 @@ class _Ensemble:
         policy_value: PolicyValue = "mean",
         **arguments: Any,
     ) -> None:
-        for name in ("value_network", "skip_done_states"):
+        for name, reason in _WITHOUT.items():
             if arguments.get(name):
                 raise ValueError(
                     f"{name}: expected none for an ensemble of critics, got a "
-                    f"{type(arguments[name]).__name__}; leave it out: {_WITHOUT[name]}"
+                    f"{type(arguments[name]).__name__}; leave it out: {reason}"
                 )
         super().__init__(actor_network, qvalue_network, **arguments)  # type: ignore[call-arg]
         if not 1 <= target_subset <= self.num_qvalue_nets:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any, ClassVar
 
 import torch
 from pydantic import Field
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import (
     InteractionType,
     ProbabilisticTensorDictModule,
@@ -89,22 +90,17 @@ class SAC(Agent):
             )
         with torch.no_grad():
             bias[action_size:] += math.log(settings.initial_std)
-        self.policy = self._stochastic(self.acting_network(network), list(self.inputs))
         target = settings.target_entropy
-        common: dict[str, Any] = {
-            "num_qvalue_nets": settings.num_critics,
-            "loss_function": settings.loss_function,
-            "alpha_init": settings.initial_temperature,
-            "target_entropy": float(-action_size if target is None else target),
-        }
-        networks = (
-            self._stochastic(self.learning_network(network), list(self.read_keys)),
+        make_loss: Any = SACLoss
+        if settings.is_ensemble:
+            make_loss = partial(EnsembleSACLoss, target_subset=settings.target_subset)
+        loss = make_loss(
+            self.make_policy(network),
             self.make_critics(settings.num_critics),
-        )
-        loss = (
-            EnsembleSACLoss(*networks, target_subset=settings.target_subset, **common)
-            if settings.is_ensemble
-            else SACLoss(*networks, **common)
+            num_qvalue_nets=settings.num_critics,
+            loss_function=settings.loss_function,
+            alpha_init=settings.initial_temperature,
+            target_entropy=float(-action_size if target is None else target),
         )
         _ = loss.target_entropy  # made at first use, but a state_dict must hold it from the start
         self.learn_from(loss, loss.qvalue_network_params, loss.actor_network_params)
@@ -112,7 +108,8 @@ class SAC(Agent):
             [loss.log_alpha], lr=settings.temperature_lr
         )
 
-    def _stochastic(self, network: nn.Module, keys: list[Any]) -> ProbabilisticTensorDictSequential:
+    def actor_module(self, network: nn.Module, keys: list[NestedKey]) -> Any:
+        """Return the module from ``keys`` to ``action``, which it draws."""
         return ProbabilisticTensorDictSequential(
             TensorDictModule(_MeanAndDeviation(network), keys, list(DISTRIBUTION_KEYS.values())),
             ProbabilisticTensorDictModule(

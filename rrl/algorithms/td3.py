@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, ClassVar
 
 from pydantic import Field, model_validator
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.objectives import TD3Loss
 
@@ -14,7 +14,6 @@ from rrl.algorithms.base import Agent
 from rrl.algorithms.ensemble import EnsembleTD3Loss
 from rrl.algorithms.precision import single_precision
 from rrl.algorithms.settings import AgentSettings
-from rrl.keys import ACTION
 
 __all__ = ["TD3", "EnsembleSettings", "TD3Settings"]
 
@@ -79,28 +78,17 @@ class TD3(Agent):
     def __init__(self, inputs: Any, action_size: int, **arguments: Any) -> None:
         super().__init__(inputs, action_size, **arguments)
         settings = self.settings
-        network = nn.Sequential(self.make_actor(action_size), nn.Tanh())
-        self.policy = TensorDictModule(
-            self.acting_network(network), in_keys=list(self.inputs), out_keys=[ACTION]
-        )
-        common: dict[str, Any] = {
-            "num_qvalue_nets": settings.num_critics,
-            "bounds": (-1.0, 1.0),
-            "policy_noise": settings.target_noise,
-            "noise_clip": settings.target_noise_clip,
-            "loss_function": settings.loss_function,
-        }
-        networks = (
-            TensorDictModule(
-                self.learning_network(network), in_keys=self.read_keys, out_keys=[ACTION]
-            ),
-            # A list keeps each critic's own initialization.
-            self.make_critics(settings.num_critics),
-        )
-        loss = (
-            EnsembleTD3Loss(*networks, target_subset=settings.target_subset, **common)
-            if settings.is_ensemble
-            else TD3Loss(*networks, **common)
+        make_loss: Any = TD3Loss
+        if settings.is_ensemble:
+            make_loss = partial(EnsembleTD3Loss, target_subset=settings.target_subset)
+        loss = make_loss(
+            self.make_policy(nn.Sequential(self.make_actor(action_size), nn.Tanh())),
+            self.make_critics(settings.num_critics),  # a list: each keeps its own initialization
+            num_qvalue_nets=settings.num_critics,
+            bounds=(-1.0, 1.0),
+            policy_noise=settings.target_noise,
+            noise_clip=settings.target_noise_clip,
+            loss_function=settings.loss_function,
         )
         self.learn_from(loss, loss.qvalue_network_params, loss.actor_network_params)
 
