@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import inspect
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
@@ -105,9 +105,8 @@ class FunctionController(StatefulController):
             self.get_extra_state()
         shapes = {tuple(row.shape): None for row in rows}
         if () in shapes or len(shapes) > 1:
-            raise ValueError(
-                f"{self.called()}: expected an action of shape [n_act], got {_joined(shapes)}"
-            )
+            got = " and ".join(map(str, shapes))
+            raise ValueError(f"{self.called()}: expected an action of shape [n_act], got {got}")
         action = torch.stack(rows)
         return action.reshape(batch + action.shape[1:])
 
@@ -227,10 +226,6 @@ def _described(said: Any) -> str:
         inside = ", ".join(type(item).__name__ for item in said)
         return f"a {type(said).__name__} of {inside or 'nothing'}"
     return f"a {type(said).__name__}"
-
-
-def _joined(shapes: Iterable[tuple[int, ...]]) -> str:
-    return " and ".join(str(shape) for shape in shapes)
 
 
 def _raise_named(name: str, error: Exception) -> NoReturn:

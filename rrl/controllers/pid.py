@@ -57,10 +57,8 @@ class PIDController(ProportionalController, StatefulController):
         out_key: NestedKey = BASE_ACTION,
     ) -> None:
         super().__init__(position_key, goal_key, gain, clip, unit, out_key)
-        scale, step = (
-            per_dimension("unit", unit),
-            per_dimension("time_step", time_step, positive=True),
-        )
+        scale = per_dimension("unit", unit)
+        step = per_dimension("time_step", time_step, positive=True)
         integral = per_dimension("integral_gain", integral_gain)
         derivative = per_dimension("derivative_gain", derivative_gain)
         check_lengths(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from types import FunctionType, ModuleType
 from typing import Any
 
@@ -18,8 +18,6 @@ _DEQUE, _GENERATOR = "__deque__", "__generator__"
 _LEAVES = (type(None), bool, int, float, str, bytes, torch.Size)
 _SHARED = (FunctionType, ModuleType, type, np.ufunc)
 """What copies share and nothing changes: left out while it is what was given."""
-
-Refuse = Callable[[str, Any], TypeError]
 
 
 def remembered(name: str, thing: Any, given: Any) -> Any:
@@ -36,10 +34,10 @@ def remembered(name: str, thing: Any, given: Any) -> Any:
     if _has_own_memory(thing):
         state = thing.state_dict()
         state = dict(state) if isinstance(state, Mapping) else state
-        return _plain(state, "state_dict()", _refusing(name, "let state_dict() leave it out"))
+        return _plain(state, f"controller {name}: state_dict()", "let state_dict() leave it out")
     remedy = "give it state_dict() and load_state_dict()"
     return {
-        key: _plain(value, f"attribute {key}", _refusing(name, remedy))
+        key: _plain(value, f"controller {name}: attribute {key}", remedy)
         for key, value in vars(thing).items()
         if not (isinstance(value, _SHARED) and value is vars(given).get(key))
     }
@@ -76,11 +74,14 @@ def _has_own_memory(thing: Any) -> bool:
     return all(callable(getattr(thing, name, None)) for name in methods)
 
 
-def _plain(value: Any, place: str, refuse: Refuse) -> Any:
-    """Return a copy of tensors, arrays, numbers, text, lists, tuples and dictionaries alone."""
+def _plain(value: Any, place: str, remedy: str) -> Any:
+    """Return a copy of tensors, arrays, numbers, text, lists, tuples and dictionaries alone.
+
+    An error names the ``place`` and says what to do, the ``remedy``.
+    """
 
     def items() -> list[Any]:
-        return [_plain(item, f"{place}[{i}]", refuse) for i, item in enumerate(value)]
+        return [_plain(item, f"{place}[{i}]", remedy) for i, item in enumerate(value)]
 
     kind = type(value)
     if isinstance(value, Tensor):
@@ -94,13 +95,17 @@ def _plain(value: Any, place: str, refuse: Refuse) -> Any:
     if kind is deque:
         return {_DEQUE: items(), "maxlen": value.maxlen}
     if kind is dict and all(type(key) in (str, int, tuple) for key in value):
-        return {key: _plain(item, f"{place}[{key!r}]", refuse) for key, item in value.items()}
+        return {key: _plain(item, f"{place}[{key!r}]", remedy) for key, item in value.items()}
     if kind is np.random.Generator:
         bits = value.bit_generator
         if type(bits) is getattr(np.random, type(bits).__name__, None):
-            state = _plain(dict(bits.state), place, refuse)
+            state = _plain(dict(bits.state), place, remedy)
             return {_GENERATOR: type(bits).__name__, "state": state}
-    raise refuse(place, value)
+    of = f" of {value.dtype}" if isinstance(value, np.ndarray) else ""
+    raise TypeError(
+        f"{place}: expected tensors, NumPy arrays of numbers, numbers, text, lists, tuples, "
+        f"dictionaries, deques or numpy.random.Generator, got a {kind.__name__}{of}; {remedy}"
+    )
 
 
 def _restored(value: Any) -> Any:
@@ -116,15 +121,3 @@ def _restored(value: Any) -> Any:
     if type(value) in (list, tuple):
         return type(value)(map(_restored, value))
     return copy.deepcopy(value)
-
-
-def _refusing(name: str, remedy: str) -> Refuse:
-    def refuse(place: str, value: Any) -> TypeError:
-        of = f" of {value.dtype}" if isinstance(value, np.ndarray) else ""
-        return TypeError(
-            f"controller {name}: {place}: expected tensors, NumPy arrays of numbers, numbers, "
-            "text, lists, tuples, dictionaries, deques or numpy.random.Generator, got a "
-            f"{type(value).__name__}{of}; {remedy}"
-        )
-
-    return refuse

@@ -1,4 +1,4 @@
-"""The encoder of images that is learned: small enough for a processor core."""
+"""The encoder of images that is learned, small enough for a processor core, and the default."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from rrl.encoders.concatenate import Concatenate
 from rrl.encoders.images import ImagesBesideNumbers, as_channels_first
 from rrl.encoders.interface import Inputs
-from rrl.encoders.shift import random_shift
 from rrl.inputs import Input
 
-__all__ = ["PixelEncoder", "check_layers"]
+__all__ = ["PixelEncoder", "automatic", "random_shift"]
 
 
 class PixelEncoder(ImagesBesideNumbers):
@@ -44,7 +44,7 @@ class PixelEncoder(ImagesBesideNumbers):
         shift: int = 4,
     ) -> None:
         super().__init__(inputs)
-        check_layers(channels, kernels, strides, features, shift)
+        _check_layers(channels, kernels, strides, features, shift)
         self.features, self.shift = features, shift
         layers = list(zip(channels, kernels, strides, strict=True))
         self.cameras = nn.ModuleList(
@@ -70,6 +70,54 @@ class PixelEncoder(ImagesBesideNumbers):
         return moved.reshape(value.shape)
 
 
+def random_shift(images: Tensor, most: int) -> Tensor:
+    """Move each image by up to ``most`` pixels, along both axes; its border fills the gap.
+
+    Kostrikov et al., *Image augmentation is all you need*, 2021. The shifts are drawn from torch's
+    global generator on the CPU, wherever the images lie.
+
+    Args:
+        images: ``[B, C, H, W]`` of any dtype.
+        most: Pixels, at least 0.
+    """
+    if most == 0:
+        return images
+    batch, channels, height, width = images.shape
+    shift = (torch.rand(2, batch, 1) * (2 * most + 1)).long() - most
+    rows = (torch.arange(height) + shift[0]).clamp(0, height - 1)  # (B, H)
+    columns = (torch.arange(width) + shift[1]).clamp(0, width - 1)  # (B, W)
+    source = (rows.unsqueeze(2) * width + columns.unsqueeze(1)).flatten(1).unsqueeze(1)
+    source = source.expand(batch, channels, height * width).to(images.device)
+    return images.flatten(2).gather(2, source).reshape(images.shape)
+
+
+def automatic(
+    inputs: Inputs,
+    channels: Sequence[int] = (16, 32, 64),
+    kernels: Sequence[int] = (5, 3, 3),
+    strides: Sequence[int] = (4, 2, 2),
+    features: int = 50,
+    shift: int = 4,
+) -> nn.Module:
+    """Make a :class:`PixelEncoder` if an image is among the inputs, else :class:`Concatenate`.
+
+    Args:
+        inputs: Observation entries.
+        channels: Of a camera's convolutions.
+        kernels: Their sides, in pixels.
+        strides: Their strides, in pixels.
+        features: Of each camera.
+        shift: Pixels by which a training image is moved, at most; 0: none.
+
+    Raises:
+        ValueError: If a number is out of range, or the inputs do not suit the encoder.
+    """
+    _check_layers(channels, kernels, strides, features, shift)
+    if any(entry.is_image for entry in inputs.values()):
+        return PixelEncoder(inputs, channels, kernels, strides, features, shift)
+    return Concatenate(inputs)
+
+
 def _camera(entry: Input, layers: list[tuple[int, int, int]], features: int) -> nn.Module:
     example = as_channels_first(torch.zeros(entry.shape), entry)  # (1, C, H, W)
     modules, before = list[nn.Module](), example.shape[1]
@@ -81,7 +129,7 @@ def _camera(entry: Input, layers: list[tuple[int, int, int]], features: int) -> 
     return nn.Sequential(convolutions, nn.Linear(size, features), nn.LayerNorm(features), nn.Tanh())
 
 
-def check_layers(
+def _check_layers(
     channels: Sequence[int],
     kernels: Sequence[int],
     strides: Sequence[int],

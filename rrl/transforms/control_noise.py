@@ -82,7 +82,6 @@ class ControlNoise(ActionTransform, RandomTransform):
         self.sigma = per_dimension("sigma", sigma, minimum=0.0)
         self._noisy = bool((self.sigma != 0).any())
         self._active = self._noisy or bool((self.mu != 0).any())
-        self._scaled: tuple[Tensor, Tensor] | None = None  # mu and sigma in action units
 
     def silence(self) -> None:
         """Take away bias and noise; what was executed is still recorded."""
@@ -96,27 +95,22 @@ class ControlNoise(ActionTransform, RandomTransform):
         return self.give(tensordict, action)
 
     def _disturb(self, action: Tensor, limits: ActionLimits, tensordict: TensorDictBase) -> Tensor:
-        bias, deviation = self._scaled or self._scale(limits)
-        disturbed = action + bias
+        disturbed = action + self._bias
         if self._noisy:
             batch = tensordict.batch_size
             shape = action.shape[len(batch) :]
             noise = self.draw_normal(batch, shape, step_mask(tensordict, batch)).to(action)
             # Separate product and sums: fused ones round differently in different places of a
             # batch.
-            disturbed = disturbed + noise * deviation
+            disturbed = disturbed + noise * self._deviation
         return torch.clamp(disturbed, limits.low, limits.high)
 
-    def _scale(self, limits: ActionLimits) -> tuple[Tensor, Tensor]:
-        unit = limits.half_range
-        self._scaled = self.mu.to(unit) * unit, self.sigma.to(unit) * unit
-        return self._scaled
-
     def _take_limits(self, action_spec: Composite) -> ActionLimits:
-        self._scaled = None
         limits = super()._take_limits(action_spec)
         for name, value in (("mu", self.mu), ("sigma", self.sigma)):
             check_length(name, value, limits.shape[-1], "the action")
+        unit = limits.half_range
+        self._bias, self._deviation = self.mu.to(unit) * unit, self.sigma.to(unit) * unit
         return limits
 
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:

@@ -196,14 +196,15 @@ class RandomTransform(Seeded, SlotTransform):
         self._generators.resize(batch.numel())
         return super()._reset(tensordict, tensordict_reset)
 
-    def slots(self, batch: torch.Size) -> SlotGenerators:
-        """Return the generators, one for each slot of ``batch``."""
-        self._generators.resize(batch.numel())
-        return self._generators
-
     def draw_normal(self, batch: torch.Size, shape: torch.Size, mask: Mask) -> Tensor:
         """Draw standard normal numbers ``[*batch, *shape]``, zeros where ``mask`` is False."""
-        return self.slots(batch).normal(shape, mask).reshape(batch + shape)
+        self._generators.resize(batch.numel())
+        return self._generators.normal(shape, mask).reshape(batch + shape)
+
+    def draw_uniform(self, batch: torch.Size, mask: Mask) -> Tensor:
+        """Draw numbers ``[*batch]`` uniform in [0, 1), zeros where ``mask`` is False."""
+        self._generators.resize(batch.numel())
+        return self._generators.uniform((), mask).reshape(batch)
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return memory and generators for ``state_dict``."""

@@ -60,8 +60,6 @@ class FiniteObservation(SlotTransform):
 
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
         lost = self._replace(td, self.in_keys, mask)
-        if lost:
-            self._bear(lost)
         flag = _any_of(lost, td)
         return self._known(td) | self._lost(td, lost) | {"flag": flag, "blind": flag}
 
@@ -71,8 +69,6 @@ class FiniteObservation(SlotTransform):
             goes_on = ~any_done(next_td)
             among = goes_on if mask is None else goes_on & mask
         lost = self._replace(next_td, (*self.in_keys, self._reward_key), among)
-        if lost:
-            self._bear(lost)
         flag = _any_of(lost, next_td) | self.recall("blind")
         if mask is not None:
             flag = flag & mask.unsqueeze(-1)
@@ -114,6 +110,8 @@ class FiniteObservation(SlotTransform):
                 lost[key] = slots
                 kept = self.memory.get(f"known {key}", torch.zeros_like(value))
                 td.set(key, merge(slots, kept, value))
+        if lost:
+            self._bear(lost)
         return lost
 
     def _known(self, td: TensorDictBase) -> Memory:

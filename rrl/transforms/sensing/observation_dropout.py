@@ -63,9 +63,8 @@ class ObservationDropout(SensingFault):
         return seen | {_LEFT: left}
 
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
-        batch = next_td.batch_size
-        draw = self.slots(batch).uniform((), mask)  # in every step, so that outages do not matter
-        begins = (draw < self.probability).reshape(batch).to(self.recall(_LEFT).device)
+        draw = self.draw_uniform(next_td.batch_size, mask)  # always, so that outages do not matter
+        begins = (draw < self.probability).to(self.recall(_LEFT).device)
         left = torch.where(self.recall(_LEFT) > 0, self.memory[_LEFT], begins * self.steps)
         lost = left > 0
         seen = self._read(next_td)

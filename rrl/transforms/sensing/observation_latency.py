@@ -71,10 +71,9 @@ class ObservationLatency(SensingFault):
         return memory | {_AGE: torch.zeros(batch, dtype=torch.int64, device=td.device)}
 
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
-        batch = next_td.batch_size
         memory = {_AGE: self.recall(_AGE) + 1}
-        measured = self._measured(memory[_AGE], batch, mask)
-        dim = len(batch)
+        measured = self._measured(memory[_AGE], mask)
+        dim = next_td.batch_dims
         for name, value in self._read(next_td).items():
             queue = self.memory[name]
             if measured is not None:
@@ -83,14 +82,13 @@ class ObservationLatency(SensingFault):
             memory[name] = torch.cat([late, value.unsqueeze(dim)], dim)
         return memory
 
-    def _measured(self, age: Tensor, batch: torch.Size, stepped: Tensor | None) -> Tensor | None:
+    def _measured(self, age: Tensor, stepped: Mask) -> Mask:
         """Return which slots the tracker measures in now, bool ``[*batch]``; None: all."""
         measured = None if self.update_interval == 1 else age % self.update_interval == 0
         if self.dropout:
             # Drawn at every step, measured or not, so that the numbers do not depend on the
             # interval.
-            draw = self.slots(batch).uniform((), stepped)
-            kept = (draw >= self.dropout).reshape(batch).to(age.device)
+            kept = (self.draw_uniform(age.shape, stepped) >= self.dropout).to(age.device)
             measured = kept if measured is None else measured & kept
         return measured
 
