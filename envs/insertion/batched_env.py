@@ -17,7 +17,7 @@ from rrl.threads import available_threads
 
 from . import quantities
 from .config import InsertionConfig, make_config
-from .physics.control import check_action, set_points
+from .physics.control import check_action
 from .physics.simulation import BatchSimulation
 from .physics.start import draw_episode
 
@@ -138,10 +138,9 @@ class InsertionEnv(EnvBase):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get("_reset", None)
-        slots = np.arange(self.num_envs)
-        if mask is not None:
-            slots = np.flatnonzero(mask.reshape(self.num_envs).numpy())
-        for slot in slots.tolist():
+        every = np.ones(self.num_envs, dtype=bool)
+        drawn = every if mask is None else mask.reshape(self.num_envs).numpy()
+        for slot in np.flatnonzero(drawn).tolist():
             episode = draw_episode(self.config, self._generators[slot])
             self._keep(self._simulation.reset(slot, episode), slice(slot, slot + 1))
             self._steps[slot] = 0
@@ -152,19 +151,14 @@ class InsertionEnv(EnvBase):
         action = tensordict[ACTION].detach().double().numpy()
         action = check_action(action, self.num_envs)
         mask = tensordict.get("_step", None)  # slots that take this step; None: all
-        partly = mask is not None and not bool(mask.all())
-        active = mask.reshape(self.num_envs).numpy() if partly else None
-        start = self._simulation.start
-        signals = start.layout.views(self._simulation.sensors)
-        controls = set_points(signals, action, self.config, start.home)
+        active = True if mask is None else mask.reshape(self.num_envs).numpy()
+        controls = self._simulation.start.controls(self._simulation.sensors, action)
         trace, diverged = self._simulation.step(controls, active)
-        self._steps += 1 if active is None else active
+        self._steps += active
         self.num_diverged += int(diverged.sum())
-        if active is None and not diverged.any():
-            self._keep(trace, slice(None))
-        else:
-            fine = ~diverged if active is None else active & ~diverged
-            self._keep(trace[fine], fine)
+        fine = active & ~diverged
+        where = slice(None) if fine.all() else fine  # a slice copies nothing
+        self._keep(trace[where], where)
         return self._pack(diverged, (self._steps >= self.config.episode_length) | diverged)
 
     def _evaluate(self, trace: np.ndarray) -> dict[str, np.ndarray]:

@@ -16,7 +16,7 @@ from rrl.keys import DIVERGED, REWARD
 from . import quantities
 from .config import InsertionConfig
 from .model.scene import build_scene
-from .physics.control import check_action, set_points
+from .physics.control import check_action
 from .physics.simulation import STATE, has_diverged
 from .physics.start import StartState, draw_episode
 
@@ -75,8 +75,7 @@ class InsertionTask(composer.Task):
         """Draw an episode and put the physics at its start."""
         model, data = physics.model.ptr, physics.data.ptr
         episode = draw_episode(self.config, random_state)
-        self._start.set_blocks(model, episode.yaw, episode.place)
-        self._start.hold(model, data, self._start.qpos(model, episode))
+        self._start.begin(model, data, episode)
         self._trace = [data.sensordata.copy()]
         self._evaluate()
 
@@ -89,8 +88,7 @@ class InsertionTask(composer.Task):
             ValueError: If the action is not of shape [3], or not finite.
         """
         action = check_action(np.asarray(action, dtype=np.float64)[None], 1)
-        signals = self._start.layout.views(self._sensors[None])
-        physics.data.ctrl[:] = set_points(signals, action, self.config, self._start.home)[0]
+        physics.data.ctrl[:] = self._start.controls(self._sensors[None], action)[0]
         # The batched environment starts every control step without warm start.
         physics.data.qacc_warmstart[:] = 0
         self._trace = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -78,30 +79,13 @@ class InsertionPixelsEnv(InsertionEnv):
 
     @staticmethod
     def check_arguments(
-        variant: str | InsertionConfig = "real",
-        num_envs: int = 1,
-        num_threads: int | None = None,
-        seed: int | None = 0,
-        camera: str = CameraConfig.camera,
-        picture_size: int = CameraConfig.picture_size,
-        camera_shift: Vector = STILL,
-        light_shift: Vector = STILL,
-        **overrides: Any,
+        variant: str | InsertionConfig = "real", *arguments: Any, **settings: Any
     ) -> dict[str, int]:
-        """Check the constructor's arguments without building physics.
-
-        Returns:
-            The size of each observation entry.
-
-        Raises:
-            ValueError: If the constructor would raise it.
-        """
-        make_camera_config(
-            camera=camera, picture_size=picture_size, camera_shift=camera_shift,
-            light_shift=light_shift,
-        )  # fmt: skip
-        sizes = InsertionEnv.check_arguments(variant, num_envs, num_threads, seed, **overrides)
-        return {**sizes, PIXELS: picture_size * picture_size * 3}
+        """Check the constructor's arguments; see :meth:`InsertionEnv.check_arguments`."""
+        names = [field.name for field in fields(CameraConfig) if field.name in settings]
+        camera = make_camera_config(**{name: settings.pop(name) for name in names})
+        sizes = InsertionEnv.check_arguments(variant, *arguments, **settings)
+        return {**sizes, PIXELS: camera.picture_size**2 * 3}
 
     def _pack(self, diverged: np.ndarray, truncated: np.ndarray) -> TensorDict:
         entries = super()._pack(diverged, truncated)

@@ -16,7 +16,7 @@ from rrl.robot import Description, EntrySpec, Observation, Robot
 from ..insertion import quantities
 from ..insertion.config import InsertionConfig
 from ..insertion.model.scene import compile_model
-from ..insertion.physics.control import check_action, set_points
+from ..insertion.physics.control import check_action
 from ..insertion.physics.start import StartState, draw_episode
 
 __all__ = ["SimulatedPlant"]
@@ -67,8 +67,7 @@ class SimulatedPlant(Robot):
     def reset(self, seed: int | None = None) -> None:
         """Begin an episode at once."""
         episode = draw_episode(self.config, np.random.default_rng(seed))
-        self._start.set_blocks(self._model, episode.yaw, episode.place)
-        self._start.hold(self._model, self._data, self._start.qpos(self._model, episode))
+        self._start.begin(self._model, self._data, episode)
         self._trace.clear()
         self._diverged, self._now = False, time.monotonic()
         self._measure()
@@ -104,8 +103,7 @@ class SimulatedPlant(Robot):
             self._execute()
 
     def _execute(self) -> None:
-        signals = self._start.layout.views(self._data.sensordata[None])
-        self._data.ctrl[:] = set_points(signals, self._action, self.config, self._start.home)[0]
+        self._data.ctrl[:] = self._start.controls(self._data.sensordata[None], self._action)[0]
         self._repeat_at = time.monotonic() + self.config.control_timestep * 1.2
         if not np.isfinite(self._data.ctrl).all():
             self._diverged = True

@@ -24,22 +24,15 @@ def chamfered_vertices(half_size: Vector3, chamfer: tuple[float, float], side: i
     return np.array([(x, y, z) for x, z in outline for y in (-size_y, size_y)])
 
 
-class _Block(composer.Entity):
-    def _start(self, name: str, rgba: tuple[float, ...]) -> Any:
-        """Begin the block's MJCF; return its material."""
-        self._root = mjcf.RootElement(model=name)
-        self._root.compiler.angle = "radian"
-        return self._root.asset.add(
-            "material", name="surface", rgba=rgba, specular=0.3, shininess=0.3
-        )
-
-    @property
-    def mjcf_model(self) -> Any:
-        """The root of the block's MJCF."""
-        return self._root
+def _begun(name: str, rgba: tuple[float, ...]) -> tuple[Any, Any]:
+    """Return the root of a block's MJCF, and its material."""
+    root = mjcf.RootElement(model=name)
+    root.compiler.angle = "radian"
+    look = {"rgba": rgba, "specular": 0.3, "shininess": 0.3}
+    return root, root.asset.add("material", name="surface", **look)
 
 
-class StandingBlock(_Block):
+class StandingBlock(composer.ModelWrapperEntity):
     """A block that stands on the platform and whose inner top edge is cut, so that it guides.
 
     Attributes:
@@ -67,16 +60,17 @@ class StandingBlock(_Block):
             friction: Coefficient of sliding friction.
             rgba: Color.
         """
-        material = self._start(name, rgba)
+        root, material = _begun(name, rgba)
+        super()._build(root)
         vertices = chamfered_vertices(half_size, chamfer, inner_side)
-        mesh = self._root.asset.add("mesh", name="prism", vertex=vertices.ravel(), inertia="convex")
-        self.geom = self._root.worldbody.add(
+        mesh = root.asset.add("mesh", name="prism", vertex=vertices.ravel(), inertia="convex")
+        self.geom = root.worldbody.add(
             "geom", name="prism", type="mesh", mesh=mesh, mass=mass, material=material,
             friction=(friction, 0.005, 0.0001),
         )  # fmt: skip
 
 
-class HeldBlock(_Block):
+class HeldBlock(composer.ModelWrapperEntity):
     """The block in the hand. Its frame is its top face's center, z pointing down into the block.
 
     Attributes:
@@ -95,10 +89,9 @@ class HeldBlock(_Block):
         name: str = "held_block",
     ) -> None:
         """Build the block; arguments as in :class:`StandingBlock`."""
-        material = self._start(name, rgba)
-        self.body = self._root.worldbody.add(
-            "body", name="center", pos=(0, 0, half_size[2]), gravcomp=1
-        )
+        root, material = _begun(name, rgba)
+        super()._build(root)
+        self.body = root.worldbody.add("body", name="center", pos=(0, 0, half_size[2]), gravcomp=1)
         self.geom = self.body.add(
             "geom", name="box", type="box", size=half_size, mass=mass, material=material,
             friction=(friction, 0.005, 0.0001),

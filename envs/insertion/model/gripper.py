@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from dm_control import composer, mjcf
 
 from .appearance import add_materials, draw
@@ -18,7 +16,7 @@ GRIP_DEPTH = 0.109
 """Distance of the grip point from the hand's frame along its z axis, m."""
 
 
-class ParallelGripper(composer.Entity):
+class ParallelGripper(composer.ModelWrapperEntity):
     """Two fingers that close along the hand's x axis, held at the width of the block between them.
 
     The block is fixed in the hand (it is already grasped when an episode starts), so the fingers
@@ -40,10 +38,11 @@ class ParallelGripper(composer.Entity):
                 "held_half_size: expected a block at most as wide along x as the gripper opens, "
                 f"{2 * FINGER_TRAVEL:.4f} m, got {opening:.4f} m"
             )
-        self._root = mjcf.RootElement(model=name)
-        self._root.compiler.angle = "radian"
-        add_materials(self._root)
-        body = self._root.worldbody.add("body", name="body", gravcomp=1)
+        root = mjcf.RootElement(model=name)
+        super()._build(root)
+        root.compiler.angle = "radian"
+        add_materials(root)
+        body = root.worldbody.add("body", name="body", gravcomp=1)
         body.add("inertial", pos=(0, 0, 0.04), mass=MASS, diaginertia=(3e-4, 3e-4, 2e-4))
         draw(body, "cylinder", "charcoal", fromto=(0, 0, 0, 0, 0, 0.022), size=(0.04,))
         draw(body, "box", "charcoal", pos=(0, 0, 0.042), size=(0.056, 0.022, 0.022))
@@ -59,8 +58,3 @@ class ParallelGripper(composer.Entity):
         self.grip_site = body.add(
             "site", name="grip", pos=(0, 0, GRIP_DEPTH), size=(0.002,), rgba=(0, 0, 0, 0)
         )
-
-    @property
-    def mjcf_model(self) -> Any:
-        """The root of the gripper's MJCF."""
-        return self._root

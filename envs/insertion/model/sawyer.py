@@ -77,7 +77,7 @@ JOINT_ARMATURE = (0.1, 0.1, 0.1, 0.1, 0.05, 0.05, 0.05)
 """Reflected rotor inertia, kg m^2."""
 
 
-class Sawyer(composer.Entity):
+class Sawyer(composer.ModelWrapperEntity):
     """Seven joints, no actuators (the task adds its controller's) and no collision geometry.
 
     The arm compensates gravity; the compensation counts against the joints' torque limits.
@@ -90,10 +90,11 @@ class Sawyer(composer.Entity):
     """
 
     def _build(self, name: str = "sawyer") -> None:
-        self._root = mjcf.RootElement(model=name)
-        self._root.compiler.angle = "radian"
-        add_materials(self._root)
-        base = self._root.worldbody.add("body", name="base")
+        root = mjcf.RootElement(model=name)
+        super()._build(root)
+        root.compiler.angle = "radian"
+        add_materials(root)
+        base = root.worldbody.add("body", name="base")
         base.add("inertial", pos=(0, 0, 0), mass=BASE_MASS, diaginertia=(0.02, 0.02, 0.02))
         self.joints: list[Any] = []
         self.links: list[Any] = []
@@ -122,8 +123,3 @@ class Sawyer(composer.Entity):
         )
         self.hand_site = hand.add("site", name="mount", size=(0.002,), rgba=(0, 0, 0, 0))
         dress_arm(base, self.links)
-
-    @property
-    def mjcf_model(self) -> Any:
-        """The root of the arm's MJCF."""
-        return self._root

@@ -74,8 +74,8 @@ class BatchSimulation:
     def reset(self, slot: int, episode: Episode) -> np.ndarray:
         """Start ``episode`` in a slot; return its sensors as a trace of one substep, [1, 1, n]."""
         model, data = self.models[slot], self._data[0]
-        self.set_blocks(slot, episode.yaw, episode.place)
-        self.start.hold(model, data, self.start.qpos(model, episode))
+        self.yaw[slot], self.place[slot] = episode.yaw, episode.place
+        self.start.begin(model, data, episode)
         mujoco.mj_getState(model, data, self.state[slot], STATE)
         self.sensors[slot] = data.sensordata
         return data.sensordata.copy()[None, None]
@@ -86,13 +86,13 @@ class BatchSimulation:
         self.start.set_blocks(self.models[slot], yaw, place)
 
     def step(
-        self, controls: np.ndarray, active: np.ndarray | None = None
+        self, controls: np.ndarray, active: np.ndarray | bool = True
     ) -> tuple[np.ndarray, np.ndarray]:
         """Advance the environments by one control step.
 
         Args:
             controls: Actuator controls, held during the step, [B, nu].
-            active: Which environments take the step, [B]; ``None`` for all.
+            active: Which environments take the step, [B]; True for all.
 
         Returns:
             The sensors of every substep [B, substeps, n] (overwritten by the next call), and which
@@ -106,9 +106,8 @@ class BatchSimulation:
         )  # fmt: skip
         last = self._states[:, -1]
         diverged = has_diverged(last, self.state[:, 0], self.models[0], self.config)
-        if active is not None:
-            diverged &= active
-        stepped = ~diverged if active is None else active & ~diverged
+        diverged &= active
+        stepped = active & ~diverged
         self.state[stepped] = last[stepped]
         self.sensors[stepped] = self._trace[stepped, -1]
         return self._trace, diverged

@@ -112,9 +112,17 @@ class StartState:
     def hold(self, model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> None:
         """Put ``data`` at rest in ``qpos`` with the arm's set point where the arm is."""
         forward(model, data, qpos)
-        signals = self.layout.views(data.sensordata[None])
-        data.ctrl[:] = set_points(signals, np.zeros((1, 3)), self.config, self.home)[0]
+        data.ctrl[:] = self.controls(data.sensordata[None], np.zeros((1, 3)))[0]
         mujoco.mj_forward(model, data)
+
+    def begin(self, model: mujoco.MjModel, data: mujoco.MjData, episode: Episode) -> None:
+        """Put ``model`` and ``data`` at the start of ``episode``."""
+        self.set_blocks(model, episode.yaw, episode.place)
+        self.hold(model, data, self.qpos(model, episode))
+
+    def controls(self, sensordata: np.ndarray, action: np.ndarray) -> np.ndarray:
+        """Return actuator controls [B, nu] for actions [B, 3], as ``sensordata`` [B, n] is now."""
+        return set_points(self.layout.views(sensordata), action, self.config, self.home)
 
     def _first_address(self, model: mujoco.MjModel, body: str) -> int:
         """Return where in qpos a standing block's x lies; y and z follow."""
