@@ -12,8 +12,7 @@ from .opengl import RenderingUnavailable  # isort: skip - it has to import MuJoC
 from .composer import ComposerEnv
 from .gymnasium import gymnasium_env
 from .insertion.batched_env import InsertionEnv
-from .insertion.composer_env import NAMES, load
-from .insertion.composer_task import InsertionTask
+from .insertion.composer_task import NAMES, InsertionTask, load
 from .insertion.config import InsertionConfig, make_config
 from .insertion.pixels_env import InsertionPixelsEnv
 from .insertion.press_and_drag import PressAndDrag

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import torch
 from tensordict import TensorDictBase
@@ -137,12 +137,11 @@ def as_map(name: str, given: Sequence[int]) -> Map:
 
 def _after(second: tuple[Map, ...], first: tuple[Map, ...]) -> tuple[Map, ...]:
     """The maps of the image's image: ``first``, then ``second``."""
+    return tuple(map(_composed, second, first))
 
-    def composed() -> Iterator[Map]:
-        for outer, inner in zip(second, first, strict=True):
-            yield tuple(inner[abs(i) - 1] * (1 if i > 0 else -1) for i in outer)
 
-    return tuple(composed())
+def _composed(outer: Map, inner: Map) -> Map:
+    return tuple(inner[abs(i) - 1] * (1 if i > 0 else -1) for i in outer)
 
 
 def _generated(mirrors: Sequence[tuple[Map, ...]]) -> list[tuple[Map, ...]]:

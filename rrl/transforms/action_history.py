@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import torch
 from tensordict import NestedKey, TensorDictBase, unravel_key
-from torch import Tensor
 from torchrl.data import Composite
 
 from rrl.checks import check_whole, require
@@ -43,6 +40,8 @@ class ActionHistory(ActionTransform):
             before a reset.
     """
 
+    written = ("history",)
+
     def __init__(
         self, steps: int = 1, out_key: NestedKey | None = None, action_key: NestedKey = ACTION
     ) -> None:
@@ -69,9 +68,6 @@ class ActionHistory(ActionTransform):
             "history": torch.cat([history[..., given.shape[-1] :], given], -1),
             "given": given,
         }
-
-    def _outputs(self) -> Iterable[Tensor]:
-        return [self.memory["history"]]
 
     forward = SlotTransform.forward
 

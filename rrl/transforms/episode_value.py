@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 
 import torch
 from tensordict import NestedKey, TensorDictBase, unravel_key
@@ -57,6 +57,7 @@ class EpisodeValue(SlotTransform):
         self.reductions = dict(zip(names, reductions.values(), strict=True))
         for name, reduction in self.reductions.items():
             check(name, reduction, f"one of {', '.join(REDUCTIONS)}", reduction in REDUCTIONS)
+        self.written = names
         self._stepped: Memory = {}
 
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
@@ -87,9 +88,6 @@ class EpisodeValue(SlotTransform):
             for name, key in zip(self.reductions, self.out_keys, strict=True):
                 following.set(key, merge(ended, self._stepped[name], following.get(key)))
         return tensordict, tensordict_
-
-    def _outputs(self) -> Iterable[Tensor]:
-        return [self.memory[name] for name in self.reductions]
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add one number a slot for each quantity."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -68,6 +68,8 @@ class Intervention(ActionTransform):
             actions pass the inverse without an environment.
     """
 
+    written = ("active", "exceeds", "action")
+
     def __init__(
         self,
         operator: TensorDictModuleBase | Callable[[], TensorDictModuleBase],
@@ -79,11 +81,10 @@ class Intervention(ActionTransform):
             raise TypeError(
                 f"operator: expected a TensorDict module, or what makes one, got {operator!r}"
             )
-        names = ("active", "exceeds", "action")
         super().__init__(
             action_key=action_key,
             in_keys=list(module.in_keys),
-            out_keys=[sibling(action_key, (INTERVENTION, name)) for name in names],
+            out_keys=[sibling(action_key, (INTERVENTION, name)) for name in self.written],
         )
         self.operator = module if isinstance(module, Controller) else _WithoutMemory(module)
         self.step_limit = per_dimension("step_limit", step_limit, positive=True)
@@ -166,9 +167,6 @@ class Intervention(ActionTransform):
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
         was = {"was_engaged": self.recall("engaged")}
         return {**self.memory, **was, **self._ask(next_td, mask)}
-
-    def _outputs(self) -> Iterable[Tensor]:
-        return [self.memory[name] for name in ("active", "exceeds", "action")]
 
     def _ask(self, tensordict: TensorDictBase, mask: Mask) -> Memory:
         """Return whether the operator has taken over, and what it commands."""

@@ -36,6 +36,9 @@ class SlotTransform(Transform):
     ``memory`` is replaced and never changed in place: a clone may start from the same tensors.
     """
 
+    written: Iterable[str] | None = None
+    """Names of what is written to ``out_keys``, in their order; None: all that is remembered."""
+
     def __init__(self, **keys: Sequence[NestedKey]) -> None:
         super().__init__(**keys)
         self.memory: Memory = {}
@@ -69,8 +72,8 @@ class SlotTransform(Transform):
         return merge(started, self._first(next_td, started), memory)
 
     def _outputs(self) -> Iterable[Tensor]:
-        """Return what is written to each of ``out_keys``; by default all that is remembered."""
-        return self.memory.values()
+        """Return what is written to each of ``out_keys``."""
+        return [self.memory[name] for name in self.written or self.memory]
 
     def recall(self, name: str) -> Tensor:
         """Return something remembered.

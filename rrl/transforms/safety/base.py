@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -37,6 +36,8 @@ class SafetyLimit(ActionTransform):
         in_keys: Observations that :meth:`measure` reads.
         action_key: The action ``[*batch, n_act]`` in the environment's units; may be nested.
     """
+
+    written = ("flag",)
 
     def __init__(self, name: str, in_keys: list[NestedKey], action_key: NestedKey) -> None:
         self._flag_key = sibling(action_key, (SAFETY, name))
@@ -98,9 +99,6 @@ class SafetyLimit(ActionTransform):
         # A copy: an environment may change its own tensors in place.
         measured = self.measure(next_td, self.executed(td)).clone()
         return {"measured": measured, "flag": td.get(self._flag_key)}
-
-    def _outputs(self) -> Iterable[Tensor]:
-        return [self.memory["flag"]]
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the flag that says whether the last action was changed."""

@@ -50,6 +50,7 @@ class FiniteObservation(SlotTransform):
     """
 
     FLAG = (SAFETY, "observation")
+    written = ("flag",)
 
     def __init__(
         self, in_keys: Sequence[NestedKey], patience: int = 10, reward_key: NestedKey = REWARD
@@ -79,9 +80,6 @@ class FiniteObservation(SlotTransform):
             self._in_a_row = 0
         blind = torch.zeros_like(flag)
         return self._known(next_td) | self._lost(next_td, {}) | {"flag": flag, "blind": blind}
-
-    def _outputs(self) -> Iterable[Tensor]:
-        return [self.memory["flag"]]
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         if self.memory and self.memory["blind"].any():

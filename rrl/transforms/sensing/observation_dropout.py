@@ -48,6 +48,7 @@ class ObservationDropout(SensingFault):
         out_keys: Sequence[NestedKey] | None = None,
     ) -> None:
         super().__init__(in_keys, out_keys, seed)
+        self.written = [str(number) for number in range(len(self.in_keys))]
         self.probability = check_share("probability", probability, below_one=True)
         self.steps = check_whole("steps", steps, 1)
 
@@ -70,6 +71,3 @@ class ObservationDropout(SensingFault):
         seen = self._read(next_td)
         held = {name: self.memory[name] for name in seen}
         return merge(lost, held, seen) | {_LEFT: (left - 1).clamp_min(0)}
-
-    def _outputs(self) -> list[torch.Tensor]:
-        return [self.memory[str(number)] for number in range(len(self.in_keys))]
