@@ -22,7 +22,7 @@ from rrl.algorithms.reward_scale import RewardScale
 from rrl.algorithms.settings import AgentSettings
 from rrl.algorithms.symmetric_actor import SymmetricActor
 from rrl.algorithms.transfer import take_over, twin
-from rrl.algorithms.updates import UPDATES_PER_GRAPH, Step, Updates
+from rrl.algorithms.updates import UPDATES_PER_GRAPH, Kind, Updates
 from rrl.checks import check_whole
 from rrl.inputs import Input
 from rrl.keys import ACTION, REWARD
@@ -152,7 +152,7 @@ class Agent(nn.Module, ABC):
         make = self.settings.optimizer
         self.critic_optimizer = make(self._critic_params, lr=self.settings.critic_lr)
         self.actor_optimizer = make(self._actor_params, lr=self.settings.actor_lr)
-        self._updates = Updates(self, self.settings.compiled)
+        self._updates = Updates(self, self._take_step, self.settings.compiled)
 
     def start_from(self, other: Agent) -> None:
         """Take over networks, targets and temperature of ``other``, and what it has derived.
@@ -213,9 +213,9 @@ class Agent(nn.Module, ABC):
         entries = sorted(batches.items(True, True), key=lambda item: str(item[0]))
         keys, columns = tuple(k for k, _ in entries), [v.contiguous() for _, v in entries]
         history: dict[str, list[Tensor]] = {}
-        for first, steps in self._plan(len(batches)):
-            part = [column[first : first + len(steps)] for column in columns]
-            for name, values in self._updates(steps, keys, part).items():
+        for first, kinds in self._plan(len(batches)):
+            part = [column[first : first + len(kinds)] for column in columns]
+            for name, values in self._updates(kinds, keys, part).items():
                 history.setdefault(name, []).append(values)
         if self.rewards.derives:
             history["reward_scale"] = [self.reward_scale.reshape(1).clone()]
@@ -227,21 +227,20 @@ class Agent(nn.Module, ABC):
         action, reward = (out[key].to(scale.dtype) for key in (ACTION, ("next", REWARD)))
         return out.update({ACTION: action, "next": {REWARD: reward * scale}})
 
-    def _plan(self, k: int) -> Iterator[tuple[int, tuple[Step, ...]]]:
+    def _plan(self, k: int) -> Iterator[tuple[int, tuple[Kind, ...]]]:
         """Yield the next ``k`` updates in parts, up to a policy update each, with their place."""
         first = 0
         while first < k:
             to_policy = self.settings.policy_delay - self.num_updates % self.settings.policy_delay
             size = min(to_policy, k - first, UPDATES_PER_GRAPH)
-            yield first, tuple(self._next_step() for _ in range(size))
+            yield first, tuple(self._next_kind() for _ in range(size))
             first += size
 
-    def _next_step(self) -> Step:
+    def _next_kind(self) -> Kind:
         self.num_updates += 1
         if self.num_updates % self.settings.policy_delay:
-            return self._critic_step
-        burns_in = self.num_updates <= self.settings.critic_burn_in
-        return self._critic_and_target_step if burns_in else self._critic_and_policy_step
+            return "critics"
+        return "targets" if self.num_updates <= self.settings.critic_burn_in else "policy"
 
     @abstractmethod
     def value_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
@@ -251,31 +250,25 @@ class Agent(nn.Module, ABC):
     def actor_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the policy's loss and metrics, scalars, of a batch ``[B]``."""
 
-    def _critic_step(self, batch: TensorDictBase) -> dict[str, Tensor]:
-        return self._learn_values(self.readings.for_critics(batch))
-
-    def _learn_values(self, batch: TensorDictBase) -> dict[str, Tensor]:
+    def _take_step(self, kind: Kind, batch: TensorDictBase) -> dict[str, Tensor]:
+        batch = self.readings.for_critics(batch)
         loss, info = self.value_loss(batch)
         self.critic_optimizer.step(torch.autograd.grad(loss, self._critic_params))
-        return {"loss_critic": loss.detach(), **info}
-
-    def _critic_and_target_step(self, batch: TensorDictBase) -> dict[str, Tensor]:
-        metrics = self._critic_step(batch)
-        self.soft_update.step()
+        metrics = {"loss_critic": loss.detach(), **info}
+        if kind == "policy":
+            metrics |= self._learn_policy(self.readings.for_policy(batch))
+        if kind != "critics":
+            self.soft_update.step()
         return metrics
 
-    def _critic_and_policy_step(self, batch: TensorDictBase) -> dict[str, Tensor]:
-        batch = self.readings.for_critics(batch)
-        metrics = self._learn_values(batch)
-        batch = self.readings.for_policy(batch)
+    def _learn_policy(self, batch: TensorDictBase) -> dict[str, Tensor]:
         loss, info = self.actor_loss(batch)
         if self.settings.residual_penalty:
             square = self._residual(batch).square().sum(-1).mean()
             loss = loss + self.residual_weight * square
             info = {**info, "residual_square": square.detach()}
         self.actor_optimizer.step(torch.autograd.grad(loss, self._actor_params))
-        self.soft_update.step()
-        return metrics | {"loss_actor": loss.detach(), **info}
+        return {"loss_actor": loss.detach(), **info}
 
     def _residual(self, batch: TensorDictBase) -> Tensor:
         """Return the policy's action without exploration, ``[B, m]``."""

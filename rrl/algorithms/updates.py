@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
@@ -13,12 +13,15 @@ from torch import Tensor, nn
 
 from rrl.algorithms.compilation import CompiledUpdate, compiler_problem
 
-__all__ = ["UPDATES_PER_GRAPH", "Step", "Updates"]
+__all__ = ["UPDATES_PER_GRAPH", "Kind", "Updates"]
 
 UPDATES_PER_GRAPH = 4
 """At most: every further one saves less time in a call and takes as long to compile."""
 
-Step = Callable[[TensorDictBase], dict[str, Tensor]]
+Kind = Literal["critics", "targets", "policy"]
+"""What moves in a step: the critics, their targets with them, or the policy too."""
+
+Step = Callable[[Kind, TensorDictBase], dict[str, Tensor]]
 """One gradient step of a batch ``[B]``, to scalar metrics."""
 
 
@@ -27,11 +30,12 @@ class Updates:
 
     Args:
         module: Owns the tensors that the steps change.
+        step: Takes one step.
         compiled: Make one graph of each kind of sequence; eager where that is not possible.
     """
 
-    def __init__(self, module: nn.Module, compiled: bool) -> None:
-        self._module = module
+    def __init__(self, module: nn.Module, step: Step, compiled: bool) -> None:
+        self._module, self._step = module, step
         problem = compiler_problem() if compiled else None
         if problem is not None:
             warnings.warn(
@@ -48,30 +52,28 @@ class Updates:
         return sum(graph.compile_seconds for graph in self._graphs.values())
 
     def __call__(
-        self, steps: Sequence[Step], keys: tuple[NestedKey, ...], columns: Sequence[Tensor]
+        self, kinds: tuple[Kind, ...], keys: tuple[NestedKey, ...], columns: Sequence[Tensor]
     ) -> dict[str, Tensor]:
         """Take ``n`` steps, each with its row of the entries ``columns`` [n, B, ...].
 
         Returns:
             Metrics, at most ``[n]`` each.
         """
-        update = partial(_take, steps, keys)
+        update = partial(self._take, kinds, keys)
         if not self._compiled:
             return update(*columns)
-        names = tuple(step.__name__ for step in steps)
-        kind = names, keys, tuple(column.shape for column in columns)
-        graph = self._graphs.setdefault(kind, CompiledUpdate(update, self._module))
+        sort = kinds, keys, tuple(column.shape for column in columns)
+        graph = self._graphs.setdefault(sort, CompiledUpdate(update, self._module))
         values = graph(*columns)
         self._compiled = not graph.failed  # one warning, not one a graph
         return values
 
-
-def _take(
-    steps: Sequence[Step], keys: tuple[NestedKey, ...], *columns: Tensor
-) -> dict[str, Tensor]:
-    history: dict[str, list[Tensor]] = {}
-    for step, *row in zip(steps, *columns, strict=True):
-        batch = TensorDict(dict(zip(keys, row, strict=True)), row[0].shape[:1])
-        for name, value in step(batch).items():
-            history.setdefault(name, []).append(value)
-    return {name: torch.stack(values) for name, values in history.items()}
+    def _take(
+        self, kinds: tuple[Kind, ...], keys: tuple[NestedKey, ...], *columns: Tensor
+    ) -> dict[str, Tensor]:
+        history: dict[str, list[Tensor]] = {}
+        for kind, *row in zip(kinds, *columns, strict=True):
+            batch = TensorDict(dict(zip(keys, row, strict=True)), row[0].shape[:1])
+            for name, value in self._step(kind, batch).items():
+                history.setdefault(name, []).append(value)
+        return {name: torch.stack(values) for name, values in history.items()}
