@@ -6,11 +6,11 @@ from collections import UserDict
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import torch
-from tensordict import TensorDictBase
-from torchrl.data import Binary, Composite, TensorSpec
+from torchrl.data import Binary
 from torchrl.envs import GymWrapper
-from torchrl.envs.gym_like import BaseInfoDictReader
+from torchrl.envs.gym_like import default_info_dict_reader
 
 from rrl.keys import SUCCESS
 
@@ -73,7 +73,7 @@ def gymnasium_env(
                 seed_env(env, seed)
                 observation, info = self.env.reset(options=options)
             self.solved, self.told = False, False
-            return observation, {**info, SUCCESS: self.solved}
+            return observation, {**info, SUCCESS: np.array([self.solved])}
 
         def step(self, action: Any) -> tuple[Any, ...]:
             *outcome, info = self.env.step(action)
@@ -86,7 +86,7 @@ def gymnasium_env(
                     )
                 solved = success(env) if callable(success) else info.get(success, False)
                 self.solved = bool(solved) or (any_time and self.solved)
-            return (*outcome, {**info, SUCCESS: self.solved})
+            return (*outcome, {**info, SUCCESS: np.array([self.solved])})
 
         def physics_state(self) -> Any:
             return (state or mujoco_state)(env)
@@ -97,7 +97,8 @@ def gymnasium_env(
         limited = gymnasium.wrappers.TimeLimit(env, max_episode_steps)
     wrapped = _Named(Reporting(limited))
     if success is not None:
-        wrapped.set_info_dict_reader(_SuccessReader())
+        flag = Binary(1, (1,), dtype=torch.bool)
+        wrapped.set_info_dict_reader(default_info_dict_reader([SUCCESS], {SUCCESS: flag}))
     return wrapped
 
 
@@ -137,14 +138,3 @@ class _Named(GymWrapper):
         """Read an observation; TorchRL renames the entries of a ``dict`` alone."""
         named = UserDict(observations) if isinstance(observations, dict) else observations
         return dict(super().read_obs(named))
-
-
-class _SuccessReader(BaseInfoDictReader):
-    """Reads what ``Reporting`` writes."""
-
-    def __call__(self, info_dict: dict[str, Any], tensordict: TensorDictBase) -> TensorDictBase:
-        return tensordict.set(SUCCESS, torch.tensor([info_dict[SUCCESS]]))
-
-    @property
-    def info_spec(self) -> Composite[str, TensorSpec]:
-        return Composite({SUCCESS: Binary(1, (1,), dtype=torch.bool)}, shape=[])

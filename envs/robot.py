@@ -41,6 +41,7 @@ class RobotEnv(EnvBase):
 
     Attributes:
         pace: When the periods begin, and how late they did.
+        control_period: Seconds from one action to the next.
 
     Raises:
         ValueError: If the description has no ``reward`` or an entry that cannot be, or an
@@ -58,16 +59,12 @@ class RobotEnv(EnvBase):
         super().__init__(device="cpu", batch_size=[])
         self.robot = robot if isinstance(robot, Robot) else robot()
         self.description, self.episode_steps = self.robot.description, episode_steps
-        self.pace = Pace(self.description.period)
+        self.control_period = self.description.period
+        self.pace = Pace(self.control_period)
         self._steps, self._measured_at = 0, float("-inf")
         self._connected, self._stopped = True, False
         self._make_specs()
         self._set_seed(seed)
-
-    @property
-    def control_period(self) -> float:
-        """Seconds from one action to the next."""
-        return self.description.period
 
     def stop(self) -> None:
         """Have the robot stand still until the next reset."""

@@ -224,8 +224,10 @@ class InsertionEnv(EnvBase):
             )
         for name, value in self._arrays().items():
             value[:] = state[name].numpy()
-        for slot in range(self.num_envs):
-            simulation.set_blocks(slot, simulation.yaw[slot], simulation.place[slot])
+        for model, yaw, place in zip(
+            simulation.models, simulation.yaw, simulation.place, strict=True
+        ):
+            simulation.start.set_blocks(model, yaw, place)
         for generator, saved in zip(self._generators, state["generators"], strict=True):
             generator.bit_generator.state = saved
         self.num_diverged = int(state["num_diverged"])

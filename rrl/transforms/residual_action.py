@@ -79,7 +79,7 @@ class ResidualAction(ActionTransform):
             action_key=action_key, in_keys=list(controller.in_keys), out_keys=[base_key]
         )
         self.controller = controller
-        self._base_key = base_key
+        self.base_action_key = base_key
         self.set_scale(scale)
 
     def set_scale(self, scale: float | Sequence[float] | Tensor) -> None:
@@ -108,7 +108,8 @@ class ResidualAction(ActionTransform):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the base action outside an environment, for example in front of an actor."""
-        return tensordict.set(self._base_key, self._base_action(tensordict, None)["base_action"])
+        action = self._base_action(tensordict, None)["base_action"]
+        return tensordict.set(self.base_action_key, action)
 
     def _base_action(self, tensordict: TensorDictBase, mask: Mask) -> Memory:
         controller, limits = self.controller, self._limits
@@ -126,7 +127,7 @@ class ResidualAction(ActionTransform):
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         limits = self.limits()
         action = self.action(tensordict)
-        base_action = require(self, tensordict, self._base_key, _REMEDY)
+        base_action = require(self, tensordict, self.base_action_key, _REMEDY)
         span = self.span()
         # Product and sum are rounded one after the other: a fused operation would round differently
         # in different places of a batch.
@@ -143,11 +144,6 @@ class ResidualAction(ActionTransform):
             self._span = self.scale.to(limits.half_range) * limits.half_range
             self._has_zeros = bool((self._span == 0).any())
         return self._span
-
-    @property
-    def base_action_key(self) -> NestedKey:
-        """Where the controller's action is."""
-        return self._base_key
 
     def _take_limits(self, action_spec: Composite) -> ActionLimits:
         self._span = None
@@ -168,7 +164,7 @@ class ResidualAction(ActionTransform):
         for key in self.in_keys:
             require(self.controller.called(), observation_spec, key, group=True)
         return self.add_spec(
-            observation_spec, self._base_key, self.action_like(), "base_action_key"
+            observation_spec, self.base_action_key, self.action_like(), "base_action_key"
         )
 
     def get_extra_state(self) -> dict[str, Any]:

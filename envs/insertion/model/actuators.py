@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..config import InsertionConfig
+from .appearance import mark
 from .sawyer import LINKS
 
 __all__ = ["add_cartesian_actuators", "add_joint_actuators"]
@@ -24,9 +25,7 @@ def add_cartesian_actuators(root: Any, config: InsertionConfig, tool_site: Any) 
     goal [m], then the orientation relative to "down" [rad].
     """
     references = [
-        root.worldbody.add(
-            "site", name=name, pos=config.goal, quat=quat, size=(0.002,), rgba=(0, 0, 0, 0)
-        )
+        mark(root.worldbody, name, pos=config.goal, quat=quat)
         for name, quat in (("goal", (1, 0, 0, 0)), ("goal_down", (0, 1, 0, 0)))
     ]
     limits = (config.force_limit, ROTATION_LIMIT)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = ["add_materials", "draw", "dress_arm"]
+__all__ = ["add_materials", "draw", "dress_arm", "mark"]
 
 MATERIALS = {
     "red": {"rgba": (0.66, 0.04, 0.05, 1), "specular": 0.6, "shininess": 0.7},
@@ -25,6 +25,11 @@ def draw(body: Any, kind: str, material: str, **shape: Any) -> None:
     body.add(
         "geom", type=kind, material=material, contype=0, conaffinity=0, mass=0, group=1, **shape
     )
+
+
+def mark(body: Any, name: str, **place: Any) -> Any:
+    """Add a site that is not seen to ``body``, and return it."""
+    return body.add("site", name=name, size=(0.002,), rgba=(0, 0, 0, 0), **place)
 
 
 def _segment(body: Any, kind: str, material: str, start: Any, end: Any, radius: float) -> None:

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from dm_control import composer, mjcf
 
+from .appearance import mark
+
 __all__ = ["HeldBlock", "StandingBlock", "chamfered_vertices"]
 
 Vector3 = tuple[float, float, float]
@@ -97,9 +99,7 @@ class HeldBlock(composer.ModelWrapperEntity):
             friction=(friction, 0.005, 0.0001),
         )  # fmt: skip
         # Turned by pi about z: its x axis is the world's in the arm's posture TOOL_DOWN.
-        self.center_site = self.body.add(
-            "site", name="center", quat=(0, 0, 0, 1), size=(0.002,), rgba=(0, 0, 0, 0)
-        )
+        self.center_site = mark(self.body, "center", quat=(0, 0, 0, 1))
         # A touch sensor sums the normal forces of the contacts inside its site's volume.
         size = tuple(1.1 * np.array(half_size))
         self.skin_site = self.body.add(

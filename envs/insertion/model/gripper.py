@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dm_control import composer, mjcf
 
-from .appearance import add_materials, draw
+from .appearance import add_materials, draw, mark
 
 __all__ = ["FINGER_TRAVEL", "ParallelGripper"]
 
@@ -55,6 +55,4 @@ class ParallelGripper(composer.ModelWrapperEntity):
                 "geom", name=name, type="box", pos=(pad_x, 0, GRIP_DEPTH), size=PAD_HALF_SIZE,
                 mass=0, material="charcoal",
             )  # fmt: skip
-        self.grip_site = body.add(
-            "site", name="grip", pos=(0, 0, GRIP_DEPTH), size=(0.002,), rgba=(0, 0, 0, 0)
-        )
+        self.grip_site = mark(body, "grip", pos=(0, 0, GRIP_DEPTH))

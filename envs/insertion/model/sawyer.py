@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from dm_control import composer, mjcf
 
-from .appearance import add_materials, dress_arm
+from .appearance import add_materials, dress_arm, mark
 
 __all__ = ["LINKS", "TOOL_DOWN", "Link", "Sawyer"]
 
@@ -118,8 +118,6 @@ class Sawyer(composer.ModelWrapperEntity):
         hand = body.add("body", name="hand", pos=HAND_POSITION, quat=HAND_QUATERNION, gravcomp=1)
         hand.add("inertial", pos=(0, 0, 0), mass=1e-6, diaginertia=(1e-8, 1e-8, 1e-8))
         # Turned by pi about y, so that it is aligned with the world in the posture TOOL_DOWN.
-        self.wrist_site = hand.add(
-            "site", name="wrist", quat=(0, 0, 1, 0), size=(0.002,), rgba=(0, 0, 0, 0)
-        )
-        self.hand_site = hand.add("site", name="mount", size=(0.002,), rgba=(0, 0, 0, 0))
+        self.wrist_site = mark(hand, "wrist", quat=(0, 0, 1, 0))
+        self.hand_site = mark(hand, "mount")
         dress_arm(base, self.links)

@@ -10,6 +10,7 @@ from dm_control import mjcf
 
 from ..config import InsertionConfig
 from .actuators import add_cartesian_actuators, add_joint_actuators
+from .appearance import mark
 from .arena import PlatformArena
 from .blocks import HeldBlock, StandingBlock
 from .gripper import ParallelGripper
@@ -37,9 +38,7 @@ def build_scene(config: InsertionConfig) -> PlatformArena:
         add_cartesian_actuators(arena.mjcf_model, config, held.center_site)
     else:
         add_joint_actuators(arena.mjcf_model, config, arm.joints)
-    gap = arena.mjcf_model.worldbody.add(
-        "site", name="gap", pos=config.goal, size=(0.002,), rgba=(0, 0, 0, 0)
-    )
+    gap = mark(arena.mjcf_model.worldbody, "gap", pos=config.goal)
     add_sensors(arena.mjcf_model, arm, held, frames, gap)
     return arena
 

@@ -80,11 +80,6 @@ class BatchSimulation:
         self.sensors[slot] = data.sensordata
         return data.sensordata.copy()[None, None]
 
-    def set_blocks(self, slot: int, yaw: np.ndarray, place: np.ndarray) -> None:
-        """Set the yaw [2] and the place [2] of a slot's episode."""
-        self.yaw[slot], self.place[slot] = yaw, place
-        self.start.set_blocks(self.models[slot], yaw, place)
-
     def step(
         self, controls: np.ndarray, active: np.ndarray | bool = True
     ) -> tuple[np.ndarray, np.ndarray]:
