@@ -95,10 +95,7 @@ def opened(model: mujoco.MjModel, camera: str | None, width: int, height: int) -
 
 
 def draw_data(
-    renderer: mujoco.Renderer,
-    data: mujoco.MjData,
-    camera: str | None,
-    hidden: Sequence[int] = (),
+    renderer: mujoco.Renderer, data: mujoco.MjData, camera: str | None, hidden: Sequence[int] = ()
 ) -> NDArray[np.uint8]:
     """Return a picture ``[height, width, 3]`` of data as they stand."""
     option = mujoco.MjvOption()

@@ -51,10 +51,7 @@ class RobotEnv(EnvBase):
     """
 
     def __init__(
-        self,
-        robot: Robot | Callable[[], Robot],
-        episode_steps: int = 1000,
-        seed: int | None = 0,
+        self, robot: Robot | Callable[[], Robot], episode_steps: int = 1000, seed: int | None = 0
     ) -> None:
         super().__init__(device="cpu", batch_size=[])
         self.robot = robot if isinstance(robot, Robot) else robot()

@@ -41,11 +41,7 @@ class Reading:
     """
 
     def __init__(
-        self,
-        key: str,
-        inputs: Inputs,
-        make_encoder: EncoderFactory,
-        taught_by_policy: bool = False,
+        self, key: str, inputs: Inputs, make_encoder: EncoderFactory, taught_by_policy: bool = False
     ) -> None:
         self.key, self.keys, self.taught_by_policy = key, list(inputs), taught_by_policy
         self.augmented = list(inputs)

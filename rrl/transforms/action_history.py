@@ -64,10 +64,7 @@ class ActionHistory(ActionTransform):
         overruled = next_td.get(sibling(self._action_key, INTERVENTION), None)
         if overruled is not None:
             given = torch.where(overruled["active"], overruled["action"], given)
-        return {
-            "history": torch.cat([history[..., given.shape[-1] :], given], -1),
-            "given": given,
-        }
+        return {"history": torch.cat([history[..., given.shape[-1] :], given], -1), "given": given}
 
     forward = SlotTransform.forward
 

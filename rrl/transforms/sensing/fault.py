@@ -26,10 +26,7 @@ class SensingFault(RandomTransform):
     """
 
     def __init__(
-        self,
-        in_keys: Sequence[NestedKey],
-        out_keys: Sequence[NestedKey] | None,
-        seed: int | None,
+        self, in_keys: Sequence[NestedKey], out_keys: Sequence[NestedKey] | None, seed: int | None
     ) -> None:
         super().__init__(
             seed=seed,
