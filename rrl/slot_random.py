@@ -39,13 +39,12 @@ class SlotGenerators:
     def __init__(self, seed: int | None, num_slots: int, stream: str = "") -> None:
         self.num_slots = check_whole("num_slots", num_slots, 1)
         self.stream = stream
-        self._seed = _check_seed(seed)
-        self._generators: list[torch.Generator] | None = None
+        self.seed(seed)
 
     def seed(self, seed: int | None) -> None:
         """Start every slot anew from ``seed + i``; None: from torch's generator, at first use."""
         self._seed = _check_seed(seed)
-        self._generators = None
+        self._generators: list[torch.Generator] | None = None
 
     def renew(self) -> None:
         """Start anew from torch's generator, unless a seed was given."""

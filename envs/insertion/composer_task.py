@@ -47,14 +47,11 @@ class InsertionTask(composer.Task):
         self._start_time = np.zeros(1)
         self._outputs: dict[str, np.ndarray] = {}
         self.set_timesteps(config.control_timestep, config.physics_timestep)
-        self._observables = OrderedDict(
-            (name, self._observable(name)) for name in (*quantities.output_names(config), DIVERGED)
-        )
-
-    def _observable(self, name: str) -> observable.Generic:
-        result = observable.Generic(lambda physics: self._outputs[name][0])
-        result.enabled = True
-        return result
+        self._observables = OrderedDict()
+        for name in (*quantities.output_names(config), DIVERGED):
+            read = observable.Generic(lambda physics, name=name: self._outputs[name][0])
+            read.enabled = True
+            self._observables[name] = read
 
     @property
     def root_entity(self) -> composer.Entity:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import torch
 from tensordict import TensorDictBase
@@ -33,20 +33,9 @@ class _Ensemble:
     It is no ``LossModule`` itself, whose metaclass would give it a ``forward``.
     """
 
-    policy_value: PolicyValue
-    target_subset: int
-    num_qvalue_nets: int
-    reduction: str
-    loss_function: str
-    vmap_randomness: Any
-    use_prioritized_weights: Any
-    loss_mask_key: Any
-    deactivate_vmap: bool
-    tensor_keys: Any
-    value_estimator: Any
-    qvalue_network: Any
-    qvalue_network_params: Any
-    target_qvalue_network_params: Any
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
 
     def __init__(
         self,
