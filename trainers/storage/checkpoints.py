@@ -103,7 +103,9 @@ class Checkpoints:
             raise OSError(f"cannot write checkpoint {destination}: {error}") from error
         stage.rename(destination)
         sync(self._folder)
-        self._prune()
+        for path in _found(self._folder)[: -self._keep]:
+            path.rename(path.with_name(f".{path.name}"))
+        self._sweep()
         return destination
 
     def exist(self) -> bool:
@@ -125,11 +127,6 @@ class Checkpoints:
             return int(read_note(_found(self._folder)[0])["transitions"]["count"])
         except (IndexError, ValueError):
             return 0
-
-    def _prune(self) -> None:
-        for path in _found(self._folder)[: -self._keep]:
-            path.rename(path.with_name(f".{path.name}"))
-        self._sweep()
 
     def _sweep(self) -> None:
         """Remove what a kill has left half written or half deleted."""

@@ -36,12 +36,18 @@ def number_of(path: Path) -> int:
     return int(path.stem.rpartition("_")[2])
 
 
-def write_tail(folder: Path, count: int, data: bytes) -> Path:
-    """Write what a log held from number ``count`` on beside it, and return where.
+def write_tail(folder: Path, count: int, starts: Mapping[Path, int]) -> Path | None:
+    """Write what a log holds from number ``count`` on, at these bytes of its files, beside it.
+
+    Returns:
+        Where; None if there is nothing.
 
     Raises:
         OSError: If it cannot be written; the log is then as it was.
     """
+    data = b"".join(path.read_bytes()[start:] for path, start in starts.items())
+    if not data:
+        return None
     taken = len(list(folder.glob(f"tail_{count:012d}_*.bin")))
     out = folder / f"tail_{count:012d}_{taken:03d}.bin"
     partial = out.with_suffix(".partial")
@@ -50,6 +56,16 @@ def write_tail(folder: Path, count: int, data: bytes) -> Path:
     partial.replace(out)
     sync(folder)
     return out
+
+
+def cut_files(folder: Path, starts: dict[Path, int]) -> None:
+    """Cut a log's files at these bytes; one that would be empty is removed."""
+    for path, start in reversed(starts.items()):  # from the end: never a hole
+        if start:
+            os.truncate(path, start)
+        else:
+            path.unlink()
+    sync(folder)
 
 
 def sync(path: Path) -> None:

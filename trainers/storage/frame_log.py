@@ -31,7 +31,7 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict
 
-from .files import number_of, sync, write_at, write_atomically, write_tail
+from .files import cut_files, number_of, sync, write_at, write_atomically, write_tail
 from .transition_log import TransitionLog
 
 __all__ = ["FrameLog", "Frames"]
@@ -159,16 +159,11 @@ class FrameLog:
         self.sync()  # while all files are there
         first, at = divmod(count, self._per_file)
         start = int(self._index.read(count, count + 1)[0]["start"]) if at else 0
-        paths = [path for path in self._files() if number_of(path) >= first]
-        tail = b"".join(p.read_bytes()[start if p == self._path(first) else 0 :] for p in paths)
-        write_tail(self.folder, count, tail)
+        numbers = {path: number_of(path) for path in self._files()}
+        starts = {p: start if n == first else 0 for p, n in numbers.items() if n >= first}
+        write_tail(self.folder, count, starts)
         self._index.cut(count)
-        for path in reversed(paths):  # from the end: never a hole
-            if path == self._path(first) and start:
-                os.truncate(path, start)
-            else:
-                path.unlink()
-        sync(self.folder)
+        cut_files(self.folder, starts)
         self._last = None
 
     def forget(self, first: int) -> None:

@@ -58,7 +58,7 @@ def require_same_run(saved: Mapping[str, Any], current: Mapping[str, Any]) -> No
     changed = [
         f"  {key}: {old} -> {new}"
         for key, (old, new) in differences(saved, current).items()
-        if not _may_change(key)
+        if not _fits(key, MAY_CHANGE)
     ]
     if changed:
         raise ValueError(
@@ -77,8 +77,8 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, tup
     return {key: pair for key, pair in values.items() if pair[0] != pair[1]}
 
 
-def _may_change(key: str) -> bool:
-    return any(fnmatchcase(key, pattern) for pattern in MAY_CHANGE)
+def _fits(key: str, patterns: Sequence[str]) -> bool:
+    return any(fnmatchcase(key, pattern) for pattern in patterns)
 
 
 def leaves(node: Any, path: str = "") -> dict[str, str]:
@@ -100,11 +100,7 @@ def measured_settings(config: Mapping[str, Any], without: Sequence[str] = ()) ->
     """
     given = leaves(config)
     patterns = (*NOT_MEASURED, *_unused(given), *without)
-    return {
-        key: value
-        for key, value in given.items()
-        if not any(fnmatchcase(key, pattern) for pattern in patterns)
-    }
+    return {key: value for key, value in given.items() if not _fits(key, patterns)}
 
 
 def _unused(given: Mapping[str, str]) -> list[str]:

@@ -41,7 +41,7 @@ class StoredImages:
         self._folder, self._device = folder, device
         self._entries: dict[NestedKey, _Entry] = {}
         for path in FrameLog.folders(folder):
-            self._add(_Entry(FrameLog(path), FrameMemory(device)))
+            self._add(FrameLog(path))
 
     def __bool__(self) -> bool:
         return bool(self._entries)
@@ -59,9 +59,9 @@ class StoredImages:
         Raises:
             OSError: If they cannot be written.
         """
-        for key, value in data.items(True, True):
+        for key, value in data.exclude("next").items(True, True):
             is_image = channels_of(value.shape[2:], value.dtype) != "none"
-            if is_image and key not in self._entries and _first(key) != "next":
+            if is_image and key not in self._entries:
                 self._create(key, value.shape[2:])
         if not self._entries:
             return data
@@ -158,12 +158,10 @@ class StoredImages:
         folder = self._folder / f"images_{len(self._entries):02d}"
         names = [key] if isinstance(key, str) else list(key)
         frame = _frames(torch.zeros(1, *shape), shape).shape[2:]
-        log = FrameLog.create(folder, names, shape, frame)
-        self._add(_Entry(log, FrameMemory(self._device)))
+        self._add(FrameLog.create(folder, names, shape, frame))
 
-    def _add(self, entry: _Entry) -> None:
-        names = entry.log.key
-        self._entries[names[0] if len(names) == 1 else names] = entry
+    def _add(self, log: FrameLog) -> None:
+        self._entries[unravel_key(log.key)] = _Entry(log, FrameMemory(self._device))
 
 
 class _Entry:
@@ -243,10 +241,6 @@ def _image(frames: Tensor, n: int, shape: tuple[int, ...]) -> Tensor:
 
 def _next(key: NestedKey) -> NestedKey:
     return unravel_key(("next", key))
-
-
-def _first(key: NestedKey) -> str:
-    return key if isinstance(key, str) else key[0]
 
 
 def _span(transitions: TensorDictBase, key: NestedKey) -> tuple[int, int]:

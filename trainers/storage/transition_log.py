@@ -32,7 +32,7 @@ import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 
-from .files import number_of, sync, write_at, write_atomically, write_tail
+from .files import cut_files, number_of, sync, write_at, write_atomically, write_tail
 from .records import CHECKSUM, Records, columns, pack, raw, record_dtype
 
 FOLDER = "transitions"
@@ -118,24 +118,16 @@ class TransitionLog:
         """
         self.close()
         self.sync()  # while all of them are there
-        paths = [p for p in self._segments() if (number_of(p) + 1) * self._per_segment > count]
-        offsets = [
-            max(0, count - number_of(p) * self._per_segment) * self._record.itemsize for p in paths
-        ]
-        tail = b"".join(p.read_bytes()[offset:] for p, offset in zip(paths, offsets, strict=True))
-        if not tail:
-            return None
-        out = write_tail(self.folder, count, tail)
-        for path, offset in reversed(
-            list(zip(paths, offsets, strict=True))
-        ):  # from the end: never a hole
-            if offset:
-                os.truncate(path, offset)
-            else:
-                path.unlink()
-        sync(self.folder)
-        self.count = count
-        return out
+        starts = {}
+        for path in self._segments():
+            kept = count - number_of(path) * self._per_segment
+            if kept < self._per_segment:
+                starts[path] = max(0, kept) * self._record.itemsize
+        tail = write_tail(self.folder, count, starts)
+        if tail is not None:
+            cut_files(self.folder, starts)
+            self.count = count
+        return tail
 
     def forget(self, first: int) -> None:
         """Remove the segments that lie wholly before record ``first``."""
@@ -240,10 +232,8 @@ class TransitionLog:
         damaged = []
         for i, checksum in enumerate(stored):
             segment, at = divmod(first + i, self._per_segment)
-            if (
-                zlib.crc32(data[i * size : (i + 1) * size - 4], before if at else segment)
-                != checksum
-            ):
+            found = zlib.crc32(data[i * size : (i + 1) * size - 4], before if at else segment)
+            if found != checksum:
                 damaged.append(first + i)
             before = checksum
         return damaged
