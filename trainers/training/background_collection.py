@@ -76,7 +76,6 @@ class InBackground(Collection):
         far_end.close()
         heard.close()
         atexit.register(self.close)  # before multiprocessing's own, which would wait for it
-        self._ahead = False
         self._state_before: dict[str, Any] | None = None  # before the round that is collected ahead
         self._can_continue: bool | None = None
         try:
@@ -100,9 +99,9 @@ class InBackground(Collection):
 
     def collect(self, env_steps: int) -> tuple[TensorDictBase, Metrics]:
         """Wait for the round that is collected ahead, or collect now."""
-        if not self._ahead:
+        if not self.is_ahead:
             self._request(env_steps)
-        self._ahead = False
+        self.is_ahead = False
         entries, metrics = self._receive()
         data = {key: torch.from_numpy(value) for key, value in entries}
         return TensorDict(data, next(iter(data.values())).shape[:2]), metrics
@@ -113,11 +112,6 @@ class InBackground(Collection):
         if next_round is not None:
             self._state_before = self.state_dict() if checkpoint_due else None
             self._request(next_round)
-
-    @property
-    def is_ahead(self) -> bool:
-        """Whether a round is being collected that :meth:`collect` has not returned."""
-        return self._ahead
 
     @property
     def can_continue(self) -> bool:
@@ -132,7 +126,7 @@ class InBackground(Collection):
 
     def state_dict(self) -> dict[str, Any]:
         """Return the process's state, before a round that is ahead, and the acting parameters."""
-        if self._ahead and self._state_before is not None:
+        if self.is_ahead and self._state_before is not None:
             return self._state_before
         acting = flatten(self._policy) if self._acting is None else self._acting
         return {"acting": acting, **_unpack(self._call("state"))}
@@ -156,10 +150,10 @@ class InBackground(Collection):
     def _request(self, env_steps: int) -> None:
         parameters = flatten(self._policy) if self._acting is None else self._acting
         self._send("collect", env_steps, parameters.numpy())
-        self._ahead = True
+        self.is_ahead = True
 
     def _call(self, method: str, *arguments: Any) -> Any:
-        if self._ahead:
+        if self.is_ahead:
             raise RuntimeError(f"{method}: expected no collection under way, got one")
         self._send(method, *arguments)
         return self._receive()

@@ -39,6 +39,8 @@ class Collection(ABC):
     interface: Interface
     requests: Requests
     """What a person asks of the environments of this process."""
+    is_ahead = False
+    """Whether a round is being collected that :meth:`collect` has not returned."""
 
     def tell(self, request: Request) -> None:
         """Pass on what a person asks for."""
@@ -59,11 +61,6 @@ class Collection(ABC):
             next_round: At which step the next round starts; None where none may begin yet.
             checkpoint_due: Whether :meth:`state_dict` is wanted after this round.
         """
-
-    @property
-    def is_ahead(self) -> bool:
-        """Whether a round is being collected that :meth:`collect` has not returned."""
-        return False
 
     @property
     @abstractmethod

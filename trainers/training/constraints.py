@@ -65,10 +65,8 @@ class Constraints:
             )
         self.multipliers: dict[str, Multiplier] = {}
         if settings is not None:
-            self.multipliers = {
-                name: Multiplier(budget, settings.rate, settings.initial)
-                for name, budget in kept.items()
-            }
+            for name, budget in kept.items():
+                self.multipliers[name] = Multiplier(budget, settings.rate, settings.initial)
 
     def adapt(self, transitions: TensorDictBase) -> dict[str, float]:
         """Let the multipliers see the episodes that end in what was stored.
@@ -82,7 +80,9 @@ class Constraints:
         values: dict[str, float] = {}
         if not self.multipliers:
             return values
-        ends = _last_steps(transitions)
+        ends = transitions["next", "done"].flatten()  # of transitions that begin with a last step
+        if (steps := transitions.get(STEPS, None)) is not None:
+            ends = ends & (steps.flatten() == 1)
         for name, multiplier in self.multipliers.items():
             episodes = transitions["next", SO_FAR, name].flatten()[ends].double()
             for value in episodes.tolist():
@@ -119,10 +119,3 @@ class Constraints:
         """Restore :meth:`state_dict`."""
         for name, multiplier in self.multipliers.items():
             multiplier.value = float(state[name])
-
-
-def _last_steps(transitions: TensorDictBase) -> Tensor:
-    """Return which transitions begin with the last step of an episode, bool ``[n]``."""
-    ends = transitions["next", "done"].flatten()
-    steps = transitions.get(STEPS, None)
-    return ends if steps is None else ends & (steps.flatten() == 1)

@@ -115,7 +115,6 @@ class Learning:
 
     def _derive(self) -> None:
         derived = self.agent.calibrate(self.store.newest(self.agent.readings.calibrated_by))
-        lengths = ("warmup_steps", "controller_steps")
-        derived |= {name: getattr(self.settings, name) for name in lengths}
+        derived |= self.settings.lengths
         derived["inputs"] = {str(key): entry for key, entry in derived["inputs"].items()}
         write_atomically(self.run_dir / DERIVED, yaml.safe_dump(derived, sort_keys=False))

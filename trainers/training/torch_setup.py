@@ -41,7 +41,8 @@ def configure_torch(
 
 def _precision(settings: TrainerSettings) -> str:
     """Return what was asked for; float32 where bfloat16 products would be the slower ones."""
-    if settings.matmul_precision != "medium" or _has_amx():
+    has_amx = getattr(torch.cpu, "_is_amx_tile_supported", None)  # private, may go away
+    if settings.matmul_precision != "medium" or (has_amx and has_amx()):
         return settings.matmul_precision
     warnings.warn(
         "matmul_precision: this processor has no AMX, without which bfloat16 products are slower "
@@ -49,8 +50,3 @@ def _precision(settings: TrainerSettings) -> str:
         stacklevel=3,
     )
     return "highest"
-
-
-def _has_amx() -> bool:
-    probe = getattr(torch.cpu, "_is_amx_tile_supported", None)  # private, may go away
-    return bool(probe and probe())

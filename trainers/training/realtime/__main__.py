@@ -33,46 +33,36 @@ log = logging.getLogger("rrl.trainers.training.realtime")  # __name__ is __main_
 CLAIM_SECONDS = 2.0
 
 
-class _Process:
-    """Builds what acts, and lets it act until the end."""
-
-    def __init__(self, hand_over: HandOver, learner: int) -> None:
-        self.hand_over, self.learner, self.ending = hand_over, learner, Ending()
-        for number in (signal.SIGINT, signal.SIGHUP):
-            signal.signal(number, signal.SIG_IGN)
-        signal.signal(signal.SIGTERM, self.ending.ask)
-
-    def run(self) -> None:
-        settings, environment, exploration = self.hand_over.read("recipe")
-        before = TransitionLog(self.hand_over.folder / TRANSITIONS).count
-        configure_torch(settings, collects_only=True, env_steps=before)
-        env, interface, explore = prepare(settings, environment, exploration)
-        try:
-            pace = _pace(settings, environment, env)
-            is_robot = stop_of(env) is not None
-            self.hand_over.write("interface", (interface, Authority.of(env), is_robot))
-            if not self._wait_for_weights():
-                return
-            policy = self.hand_over.read("policy")
-            acting = Acting(settings, env, policy, explore, pace, self.hand_over, self.ending)
-            prioritize(settings.realtime.priority)
-            gc.collect()
-            gc.freeze()
-            try:
-                acting.run()
-            finally:
-                stand_still(env)
-                acting.thread.close()
-        finally:
-            env.close()
-
-    def _wait_for_weights(self) -> bool:
-        """Return False if there is nobody any more who would send some."""
-        while not self.hand_over.has_weights():
-            if self.ending.is_asked or os.getppid() != self.learner:
-                return False
+def _act(hand_over: HandOver, learner: int) -> None:
+    """Build what acts, and let it act until the end."""
+    ending = Ending()
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, ending.ask)
+    settings, environment, exploration = hand_over.read("recipe")
+    before = TransitionLog(hand_over.folder / TRANSITIONS).count
+    configure_torch(settings, collects_only=True, env_steps=before)
+    env, interface, explore = prepare(settings, environment, exploration)
+    try:
+        pace = _pace(settings, environment, env)
+        is_robot = stop_of(env) is not None
+        hand_over.write("interface", (interface, Authority.of(env), is_robot))
+        while not hand_over.has_weights():
+            if ending.is_asked or os.getppid() != learner:
+                return  # there is nobody any more who would send some
             time.sleep(0.01)
-        return True
+        policy = hand_over.read("policy")
+        acting = Acting(settings, env, policy, explore, pace, hand_over, ending)
+        prioritize(settings.realtime.priority)
+        gc.collect()
+        gc.freeze()
+        try:
+            acting.run()
+        finally:
+            stand_still(env)
+            acting.thread.close()
+    finally:
+        env.close()
 
 
 def _pace(settings: TrainerSettings, environment: EnvironmentFactory, env: ResumableEnv) -> Pace:
@@ -116,7 +106,7 @@ def main(folder: str, learner: int) -> int:
     claimed = _claim(hand_over.folder)
     (hand_over.folder / "pid").write_text(str(os.getpid()))
     try:
-        _Process(hand_over, learner).run()
+        _act(hand_over, learner)
     except Exception as error:
         hand_over.write("failure", portable(error))
         log.exception("the acting process ends")

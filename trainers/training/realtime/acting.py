@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import logging
 import time
+from itertools import chain
 from pathlib import Path
 
 import torch
-from tensordict import NestedKey, TensorDictBase
+from tensordict import NestedKey, TensorDictBase, unravel_key
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import Tensor
 from torchrl.envs.utils import step_mdp
@@ -225,10 +226,6 @@ class Acting:
 def _stored(env: ResumableEnv) -> list[NestedKey]:
     """Return all that the environment writes, and the action."""
     observation = list(env.observation_spec.keys(True, True))
-    following = [
-        *observation,
-        *env.full_reward_spec.keys(True, True),
-        *env.full_done_spec.keys(True, True),
-    ]
-    nested = [("next", *((key,) if isinstance(key, str) else key)) for key in following]
-    return [*observation, ACTION, *nested]
+    ends = env.full_reward_spec.keys(True, True), env.full_done_spec.keys(True, True)
+    following = [unravel_key(("next", key)) for key in chain(observation, *ends)]
+    return [*observation, ACTION, *following]

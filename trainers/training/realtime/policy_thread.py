@@ -23,8 +23,8 @@ class PolicyThread:
             itself.
 
     Attributes:
-        seconds: How long the last answer took; of one that did not come in
-            time, how long was waited.
+        seconds: How long the last answer took; of one that did not come in time, how long was
+            waited.
     """
 
     def __init__(self, policy: TensorDictModuleBase, flush_denormals: bool) -> None:
@@ -54,12 +54,11 @@ class PolicyThread:
             return None
         self._running = self._pool.submit(self._infer, td.copy(), explores)
         try:
-            answer = self._running.result(max(0.0, until - began))
+            return self._running.result(max(0.0, until - began))
         except NotYet:
-            self.seconds = time.monotonic() - began
             return None
-        self.seconds = time.monotonic() - began
-        return answer
+        finally:
+            self.seconds = time.monotonic() - began
 
     def wait(self) -> None:
         """Wait for the inference under way."""
