@@ -12,18 +12,21 @@ from typing import Any
 
 import torch
 from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+from torchrl.data import TensorSpec
 from torchrl.envs import EnvBase
 
 from rrl.deploy.archive import module_graph
 from rrl.deploy.contract import ARCHIVE, COMMAND, CONTRACT, FORMAT, MODEL, digest, fingerprint
 from rrl.deploy.policy import Arrays, Graph, onnx_graph
 from rrl.keys import ACTION, BASE_ACTION
+from rrl.transforms.base import RandomTransform
+from rrl.transforms.base.action_bounds import limits_of
 
 from ..descriptions import named, plain
 from ..environment import EnvironmentFactory
 from ..storage.versions import versions
 from .chain import Chain, StaysOutside
-from .described import array, bounds, left_out
 from .rehearsal import Rehearsal
 from .traced import trace
 
@@ -101,6 +104,7 @@ def _write(
     if why_outside:
         chain = Chain(like, environment, policy, with_controller=False)
         content = _attempt(like, environment, chain, policy, folder)
+    faults = [make for make in environment.sensing if isinstance(make(), RandomTransform)]
     return {
         "format": FORMAT,
         "control_period": environment.control_period or getattr(like, "control_period", None),
@@ -108,7 +112,10 @@ def _write(
         "controller": {**named(environment.controller), "why_outside": why_outside},
         "residual_scale": plain(environment.residual_scale),
         "safety": [named(make) for make in environment.safety],
-        "left_out": left_out(environment),
+        "left_out": {  # what simulates a fault
+            "disturbances": [named(make) for make in environment.disturbances],
+            "sensing": [named(make) for make in faults],
+        },
     }
 
 
@@ -151,21 +158,33 @@ def _attempt(
     units, action = environment.units, like.full_action_spec[ACTION]
     return {
         "entries": [
-            array(name, value, units.get(name), guarded=name in guarded)
+            _array(name, value, units.get(name), guarded=name in guarded)
             for name, value in traced.entries.items()
         ],
-        "command": array(COMMAND, traced.command, units.get(ACTION), **bounds(action)),
+        "command": _array(COMMAND, traced.command, units.get(ACTION), **_bounds(action)),
         "reports": [
-            array(name, value, units.get(ACTION) if name == BASE_ACTION else None)
+            _array(name, value, units.get(ACTION) if name == BASE_ACTION else None)
             for name, value in traced.reports.items()
         ],
         "state": [
-            array(name, value, initial=value.flatten().tolist())
+            _array(name, value, initial=value.flatten().tolist())
             for name, value in traced.state.items()
         ],
         "ends_episode": chain.guard if chain.guard_ends_episode else None,
         "rehearsal": {"steps": rehearsal.steps, "largest_difference": differences},
     }
+
+
+def _array(name: str, value: Tensor, unit: str | None = None, **more: Any) -> dict[str, Any]:
+    """Describe an array that goes into the graph or comes out of it."""
+    node = {"name": name, "shape": list(value.shape), "dtype": str(value.dtype).split(".")[-1]}
+    return {**node, **({"unit": unit} if unit else {}), **more}
+
+
+def _bounds(action: TensorSpec) -> dict[str, Any]:
+    """Describe an action's bounds, one number for each dimension; null: there is none."""
+    limits = limits_of(action)
+    return {side: plain(getattr(limits, side).flatten().tolist()) for side in ("low", "high")}
 
 
 @contextmanager

@@ -42,10 +42,6 @@ def _relu(x: Tensor) -> Any:
     return _clamp(x, 0.0)
 
 
-def _maximum(x: Tensor, other: Tensor) -> Any:
-    return _clamp(x, other)
-
-
 def _minimum(x: Tensor, other: Tensor) -> Any:
     return _clamp(x, None, other)
 
@@ -69,7 +65,7 @@ PORTABLE: dict[Any, Callable[..., Any]] = {
     ATEN.clamp_min.Tensor: _clamp,
     ATEN.clamp_max.default: _minimum,
     ATEN.clamp_max.Tensor: _minimum,
-    ATEN.maximum.default: _maximum,
+    ATEN.maximum.default: _clamp,
     ATEN.minimum.default: _minimum,
     ATEN.where.self: _where,
 }

@@ -114,15 +114,13 @@ def _program(chain: Chain, entries: list[str], state: list[str]) -> ExportedProg
         step = _Step(chain, entries, state)
         program = torch.export.export(step, tuple(v.clone() for v in examples), strict=False)
         program = program.run_decompositions(PORTABLE)
-    written = [s.arg.name for s in program.graph_signature.output_specs if s.kind != USER_OUTPUT]
+    outputs = program.graph_signature.output_specs
+    written = [s.arg.name for s in outputs if s.kind != OutputKind.USER_OUTPUT]
     if written:
         raise ValueError(f"expected no memory but a controller's state, got {written}")
     for node in program.graph.nodes:
         node.meta.pop("stack_trace", None)  # where in the source it came from
     return program
-
-
-USER_OUTPUT = OutputKind.USER_OUTPUT
 
 
 def _needed(program: ExportedProgram, chain: Chain) -> set[str]:

@@ -18,9 +18,9 @@ from rrl.algorithms import TD3, mlp
 from rrl.controllers import Controller, ProportionalController, StatefulController
 from rrl.deploy import Policy, read_contract
 from rrl.robot import RobotFault
+from rrl.trainers.descriptions import named
 from rrl.trainers.environment import EnvironmentFactory
 from rrl.trainers.evaluation.rollout import zero_residual
-from rrl.trainers.export.described import named
 from rrl.trainers.export.folder import export_policy
 from rrl.transforms import ControlNoise, FiniteAction, StepLimit
 from rrl.transforms.base import RandomTransform, SlotTransform
