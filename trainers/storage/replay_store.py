@@ -17,7 +17,6 @@ from rrl.n_step import STEPS, n_step_transitions
 
 from .finite import require_finite
 from .neighbors import named, put_neighbors
-from .room import require_room
 from .stored_images import StoredImages
 from .transition_log import FOLDER, TransitionLog
 
@@ -104,7 +103,6 @@ class ReplayStore:
     ) -> None:
         self.n_step, self.gamma = n_step, gamma
         self.capacity, self.batch_size = capacity, batch_size
-        self.run_dir, self.device = run_dir, device
         share = intervention_share
         self.replay = TensorDictReplayBuffer(
             storage=LazyTensorStorage(capacity, device=device),
@@ -124,20 +122,6 @@ class ReplayStore:
         """Divide ``k`` batches into how many of them should be sampled at once."""
         most = IMAGE_BATCHES if self.images else max(k, 1)
         return [min(most, k - first) for first in range(0, k, most)]
-
-    def require_room(self, in_memory: int, on_disk: int) -> None:
-        """Refuse a run whose transitions do not fit; the buffer takes its memory with the first.
-
-        Args:
-            in_memory: Bytes of a transition there.
-            on_disk: Bytes of a transition there.
-
-        Raises:
-            ValueError: If ``capacity`` of them are more than memory or disk can take.
-        """
-        require_room(
-            self.run_dir, self.capacity, in_memory, on_disk, self.device, written=self.log.count
-        )
 
     def sample(self, k: int) -> TensorDictBase:
         """Draw ``k`` batches with replacement, ``[k, B]``."""

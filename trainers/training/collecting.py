@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
-from functools import wraps
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar, cast
 
 from ..environment import EnvironmentFactory
 from ..requests import stop_of
@@ -19,8 +18,6 @@ from .realtime.collection import RealTime
 __all__ = ["closed_if_it_fails", "make_collection"]
 
 log = logging.getLogger(__name__)
-
-Init = TypeVar("Init", bound=Callable[..., None])
 
 
 def make_collection(
@@ -44,16 +41,11 @@ def make_collection(
     return collection
 
 
-def closed_if_it_fails(init: Init) -> Init:
-    """Let an ``__init__`` that fails close the ``collection`` that it has made: nobody else can."""
-
-    @wraps(init)
-    def guarded(self: Any, *args: Any, **kwargs: Any) -> None:
-        try:
-            init(self, *args, **kwargs)
-        except BaseException:
-            if hasattr(self, "collection"):
-                self.collection.close()
-            raise
-
-    return cast(Init, guarded)
+@contextmanager
+def closed_if_it_fails(collection: Collection) -> Iterator[None]:
+    """Close what collects if the body fails."""
+    try:
+        yield
+    except BaseException:
+        collection.close()
+        raise

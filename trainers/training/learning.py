@@ -20,7 +20,7 @@ from ..storage.replay_store import ReplayStore
 from ..storage.run_files import DERIVED
 from .collection import Metrics
 from .constraints import Constraints
-from .timing import Stopwatch
+from .profiling import Stopwatch
 
 __all__ = ["LearnerGenerator", "Learning"]
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 from rich.table import Table
@@ -10,13 +12,38 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import TransformedEnv
 
 from ..loggers import metrics
-from .timing import Stopwatch
 
 NESTED = {"sample": "update", "compile": "update"}
 """Sections that another one contains."""
 
 BACKGROUND = "background"
 """The section of what a second process does meanwhile; no part of the sum."""
+
+
+class Stopwatch:
+    """Adds up the seconds spent in named sections since the last :meth:`lap`."""
+
+    def __init__(self) -> None:
+        self._sections: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, section: str) -> Iterator[None]:
+        """Time the body of a ``with`` statement."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.add(section, time.perf_counter() - start)
+
+    def add(self, section: str, seconds: float) -> None:
+        """Count seconds that were measured elsewhere."""
+        if seconds:
+            self._sections[section] = self._sections.get(section, 0.0) + seconds
+
+    def lap(self) -> dict[str, float]:
+        """Return the seconds by section and start anew."""
+        sections, self._sections = self._sections, {}
+        return sections
 
 
 def watch_collection(env: TransformedEnv, modules: Mapping[str, TensorDictModuleBase]) -> Stopwatch:

@@ -23,6 +23,7 @@ from ..settings import TrainerSettings
 from ..storage.checkpoints import Checkpoints, newest_whole, saved_note
 from ..storage.finite import require_finite
 from ..storage.replay_store import ReplayStore
+from ..storage.room import require_room
 from ..storage.same_run import as_json, require_same_run
 from .acceptance import Acceptance
 from .clock import Clock, Counters
@@ -35,10 +36,9 @@ from .interruption import Interrupted, Interruption
 from .keys import listening
 from .learning import Learning
 from .person import Person
-from .profiling import Profile, measured
+from .profiling import Profile, Stopwatch, measured
 from .progress import Progress
 from .schedule import announce, checkpoint_due, evaluation_due
-from .timing import Stopwatch
 from .torch_setup import configure_torch
 
 __all__ = ["Trainer"]
@@ -62,7 +62,6 @@ class Trainer(AbstractContextManager["Trainer"]):
         progress: Shows how far the run is.
     """
 
-    @closed_if_it_fails
     def __init__(
         self,
         settings: TrainerSettings | None,
@@ -86,43 +85,45 @@ class Trainer(AbstractContextManager["Trainer"]):
         settings.check_operator(environment.intervention is not None)
         configure_torch(settings)
         self.run_dir.mkdir(parents=True, exist_ok=True)
+        self.constraints = Constraints(environment.metrics, settings.constraints, settings.n_step)
         explore = exploration or default_exploration()
         self.collection = make_collection(settings, environment, explore, self.run_dir)
-        make_agent = agent or default_agent(environment)
-        self.agent = make_agent(**self.collection.interface.arguments()).to(settings.device)
-        self.collection.set_policy(self.agent.policy)
-        self.store = ReplayStore(
-            self.run_dir,
-            settings.kept_transitions,
-            settings.batch_size,
-            settings.n_step,
-            self.agent.gamma,
-            settings.device,
-            settings.intervention_share,
-        )
-        self.store.require_room(*self.collection.interface.room)
-        self.replay = self.store.replay
-        self.constraints = Constraints(environment.metrics, settings.constraints, settings.n_step)
-        self.person = Person(self.collection, self.interruption)
-        scenarios = {"training": environment} if scenarios is None else scenarios
-        self.evaluator = Evaluator(scenarios, settings.evaluation, self.collection.requests)
-        self.acceptance = Acceptance(settings, self.agent, self.evaluator)
-        self.learning = Learning(
-            self.agent, self.store, self.constraints, settings, self.run_dir, self.stopwatch
-        )
-        self.counters = Counters(env_steps=0, restarts=0)
-        self.clock, self._resumed = Clock(self.evaluator.lap), False
-        components = {
-            "agent": self.agent,
-            "collection": self.collection,
-            "replay": self.store,
-            "handed_over": self.acceptance,
-            "constraints": self.constraints,
-            "generator": self.learning.generator,
-            "progress": self.counters,
-            "clock": self.clock,
-        }
-        self.checkpoints = Checkpoints(self.run_dir, settings.checkpoint.keep, components)
+        with closed_if_it_fails(self.collection):
+            make_agent = agent or default_agent(environment)
+            self.agent = make_agent(**self.collection.interface.arguments()).to(settings.device)
+            self.collection.set_policy(self.agent.policy)
+            self.store = ReplayStore(
+                self.run_dir,
+                settings.kept_transitions,
+                settings.batch_size,
+                settings.n_step,
+                self.agent.gamma,
+                settings.device,
+                settings.intervention_share,
+            )
+            room, kept = self.collection.interface.room, self.store.capacity
+            require_room(self.run_dir, kept, *room, settings.device, written=self.store.log.count)
+            self.replay = self.store.replay
+            self.person = Person(self.collection, self.interruption)
+            scenarios = {"training": environment} if scenarios is None else scenarios
+            self.evaluator = Evaluator(scenarios, settings.evaluation, self.collection.requests)
+            self.acceptance = Acceptance(settings, self.agent, self.evaluator)
+            self.learning = Learning(
+                self.agent, self.store, self.constraints, settings, self.run_dir, self.stopwatch
+            )
+            self.counters = Counters(env_steps=0, restarts=0)
+            self.clock, self._resumed = Clock(self.evaluator.lap), False
+            components = {
+                "agent": self.agent,
+                "collection": self.collection,
+                "replay": self.store,
+                "handed_over": self.acceptance,
+                "constraints": self.constraints,
+                "generator": self.learning.generator,
+                "progress": self.counters,
+                "clock": self.clock,
+            }
+            self.checkpoints = Checkpoints(self.run_dir, settings.checkpoint.keep, components)
         self._generators = GlobalRNGState().state_dict()  # whatever is made before the run begins
 
     @property
@@ -169,8 +170,7 @@ class Trainer(AbstractContextManager["Trainer"]):
         """Train to ``total_steps``, evaluate every scenario, save.
 
         Returns:
-            For every scenario the learner's comparison with the controller, and in its
-            ``handed_over`` that of :attr:`policy`.
+            By scenario the learner's comparison; its ``handed_over`` is that of :attr:`policy`.
 
         Raises:
             Interrupted: If a signal asked for it; the run is saved.
