@@ -12,6 +12,6 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)  # below nohup it is ignored, by ch
 @pytest.fixture(scope="session", autouse=True)
 def _short_sockets():
     """Tests that start workers by TorchRL alone pass below temporary folders of any length."""
-    from rrl.trainers.worker_sockets import keep_sockets_short
+    from rrl.trainers.workers import keep_sockets_short
 
     keep_sockets_short()

@@ -29,8 +29,7 @@ from .entry_checks import check_action, check_factory, check_reported, make_nati
 from .input_entries import as_inputs, read_inputs
 from .metric import Metric
 from .resumable_env import ResumableEnv
-from .worker_errors import WorkerErrors
-from .worker_sockets import keep_sockets_short
+from .workers import WorkerErrors, keep_sockets_short
 
 __all__ = ["Batching", "EnvironmentFactory", "Input"]
 

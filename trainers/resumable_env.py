@@ -11,7 +11,7 @@ from tensordict import TensorDictBase
 from torchrl.envs import TransformedEnv
 
 from .requests import Requests
-from .worker_errors import WorkerErrors
+from .workers import WorkerErrors
 
 __all__ = ["ResumableEnv"]
 

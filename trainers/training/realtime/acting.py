@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 
@@ -25,12 +27,11 @@ from ...storage.transition_log import FOLDER, TransitionLog
 from ..collection_metrics import Authority
 from ..interface import Annealing
 from ..policy_vector import assign
-from .ending import Ending
 from .hand_over import HandOver, Weights
 from .policy_thread import PolicyThread
 from .records import Timing, make_record
 
-__all__ = ["Acting"]
+__all__ = ["Acting", "Ending"]
 
 log = logging.getLogger(__name__)
 
@@ -39,6 +40,44 @@ LATE = {
     "hold": "such a step holds the last command, as near as the residual's authority allows",
     "stop": "the robot is stopped, and a new episode begins",
 }
+
+
+class Ending:
+    """Remembers that the acting process was asked to end, by a signal; whoever acts looks at it.
+
+    Attributes:
+        is_asked: Whether it was.
+    """
+
+    def __init__(self) -> None:
+        self.is_asked = False
+        self._at_once = False
+
+    def ask(self, *_: object) -> None:
+        """Ask it to end, as the handler of a signal.
+
+        Raises:
+            SystemExit: Inside of :meth:`at_once`.
+        """
+        self.is_asked = True
+        if self._at_once:
+            raise SystemExit
+
+    @contextmanager
+    def at_once(self) -> Iterator[None]:
+        """Leave the body at once when asked: it takes long, and nothing in it looks.
+
+        Raises:
+            SystemExit: If it is asked, or was before. No ``except Exception`` in a robot's driver
+                keeps it.
+        """
+        self._at_once = True
+        try:
+            if self.is_asked:
+                raise SystemExit
+            yield
+        finally:
+            self._at_once = False
 
 
 class _Stopped(Exception):

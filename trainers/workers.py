@@ -1,13 +1,15 @@
-"""Why a worker of a parallel batch of environments ended, in the run's own message."""
+"""Workers of a parallel batch of environments: why one ended, and a place for their sockets."""
 
 from __future__ import annotations
 
+import os
 import shutil
 import tempfile
 import traceback
 import weakref
 from collections.abc import Callable
 from functools import partial
+from multiprocessing import util
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,10 @@ from torchrl.envs import EnvBase
 
 from .errors import place
 
-__all__ = ["WorkerErrors"]
+__all__ = ["LONGEST_FOLDER", "WorkerErrors", "keep_sockets_short"]
+
+LONGEST_FOLDER = 70
+"""Bytes: a socket's path may have 107, of which multiprocessing's own names take up to 35."""
 
 
 class WorkerErrors:
@@ -61,3 +66,19 @@ def _make(make: Callable[[], EnvBase], report: Path) -> EnvBase:
     for method in ("_step", "_reset"):  # what TorchRL has environments implement
         object.__setattr__(env, method, guarded(getattr(env, method)))
     return env
+
+
+def keep_sockets_short() -> None:
+    """Let multiprocessing put sockets in ``/tmp`` where the temporary folder has too long a name.
+
+    It chooses its folder once a process, and processes that are started later take it over.
+    Without this a worker ends with "AF_UNIX path too long".
+    """
+    chosen = tempfile.gettempdir()
+    if os.name != "posix" or len(os.fsencode(chosen)) <= LONGEST_FOLDER:
+        return
+    tempfile.tempdir = "/tmp"
+    try:
+        util.get_temp_dir()
+    finally:
+        tempfile.tempdir = chosen
