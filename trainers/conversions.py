@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import torch
 from tensordict import TensorDictBase
-from torchrl.data import Composite
 from torchrl.envs import TransformedEnv
 from torchrl.envs.transforms import DeviceCastTransform, DoubleToFloat, DTypeCastTransform
 
@@ -25,8 +24,9 @@ def convert(env: TransformedEnv) -> None:
     if any(spec.dtype == torch.float64 for spec in env.specs.values(True, True)):
         env.append_transform(_DoubleToFloat())
     for key in (SUCCESS, DIVERGED):  # some environments write 0.0 and 1.0
-        if (dtype := _dtype(env.observation_spec, key)) not in (None, torch.bool):
-            env.append_transform(DTypeCastTransform(dtype, torch.bool, in_keys=[key]))
+        spec = env.observation_spec.get(key, None)
+        if spec is not None and spec.dtype != torch.bool:
+            env.append_transform(DTypeCastTransform(spec.dtype, torch.bool, in_keys=[key]))
 
 
 class _DoubleToFloat(DoubleToFloat):
@@ -38,7 +38,3 @@ class _DoubleToFloat(DoubleToFloat):
         if action is not None and self.parent is not None:
             out.set(ACTION, self.parent.full_action_spec[ACTION].project(action))
         return out
-
-
-def _dtype(spec: Composite, key: str) -> torch.dtype | None:
-    return spec[key].dtype if key in spec.keys() else None  # noqa: SIM118 - a spec is no dict

@@ -159,9 +159,7 @@ class EnvironmentFactory:
         """Return the critics' inputs; None if they read what the policy reads.
 
         Raises:
-            KeyError: See :meth:`read_inputs`.
-            TypeError: See :meth:`read_inputs`.
-            ValueError: See :meth:`read_inputs`.
+            KeyError, TypeError, ValueError: See :meth:`read_inputs`.
         """
         if self.critic_inputs is None:
             return None

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import torch
-from torchrl.data import TensorSpec
 from torchrl.envs import EnvBase
 
 from rrl.inputs import Input, channels_of
@@ -45,22 +44,17 @@ def read_inputs(what: str, wanted: dict[str, Input], env: EnvBase) -> dict[str, 
         )
     for name in wanted:
         check_number(f"{what}.{name}", spec[name])
-    inputs = {
-        name: _filled_in(entry, spec[name], env.ndim)
-        for name, entry in (wanted | _actions(wanted, env)).items()
-    }
-    for name, entry in inputs.items():
+    inputs = {}
+    for name, entry in (wanted | _actions(wanted, env)).items():
+        shape = tuple(spec[name].shape[env.ndim :])
+        channels = entry.channels or channels_of(shape, spec[name].dtype)
+        inputs[name] = replace(entry, shape=shape, channels=channels)
         for column in ("loc", "scale"):
             try:
-                entry.column(column)
+                inputs[name].column(column)
             except ValueError as error:
                 raise ValueError(f"{what}.{name}.{error}") from error
     return inputs
-
-
-def _filled_in(entry: Input, spec: TensorSpec, batch_dims: int) -> Input:
-    shape = tuple(spec.shape[batch_dims:])
-    return replace(entry, shape=shape, channels=entry.channels or channels_of(shape, spec.dtype))
 
 
 def _actions(inputs: Mapping[str, Input], env: EnvBase) -> dict[str, Input]:
@@ -68,12 +62,9 @@ def _actions(inputs: Mapping[str, Input], env: EnvBase) -> dict[str, Input]:
     limits = limits_of(env.base_env.full_action_spec[ACTION])
     half_range = limits.half_range.reshape(-1, limits.half_range.shape[-1])[0]
     scale = torch.where(half_range == 0, 1.0, 1.0 / half_range)  # without range it never changes
-    scales: dict[str, list[float] | float] = {
-        BASE_ACTION: scale.tolist(),
-        PREVIOUS_ACTION: 1.0,
-    }
+    scales = {BASE_ACTION: scale.tolist(), PREVIOUS_ACTION: 1.0}
     return {
-        name: replace(inputs[name], scale=scale)
-        for name, scale in scales.items()
-        if name in inputs and inputs[name].is_derived
+        name: replace(entry, scale=scales[name])
+        for name, entry in inputs.items()
+        if name in scales and entry.is_derived
     }

@@ -81,7 +81,9 @@ class Chain:
         robot = SpecsOnly(like, resets_itself=True)
         outside: dict[str, Any] = {} if with_controller else {"controller": _Elsewhere}
         self._env = chain_on(robot, environment, **outside)
-        self._refuse_what_leaves_torch()
+        for module in self._env.transform.modules():
+            if isinstance(module, FunctionController) and (why := module.outside_torch):
+                raise StaysOutside(f"{module.called()} {why}")
         self._policy, self._batch = policy, robot.batch_size
         self._done, self._blank = robot.done_keys, robot.blank()
         self._keys = robot.entry_keys()
@@ -132,11 +134,6 @@ class Chain:
         flags = sent.select(SAFETY, strict=False)
         told |= {".".join(path): flag for path, flag in _leaves(flags)}
         return {name: self._single(value) for name, value in told.items()}
-
-    def _refuse_what_leaves_torch(self) -> None:
-        for module in self._env.transform.modules():
-            if isinstance(module, FunctionController) and (why := module.outside_torch):
-                raise StaysOutside(f"{module.called()} {why}")
 
     # ---------------------------------------------------------------- memory
 
