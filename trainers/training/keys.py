@@ -16,14 +16,14 @@ from .person import Person
 
 __all__ = ["KEYS", "listening"]
 
-KEYS = {
-    " ": "pause, go on",
-    "y": "this one succeeded",
-    "n": "this one failed",
-    "r": "repeat this start",
-    "q": "save and stop",
+KEYS: dict[str, tuple[str, Callable[[Person], None]]] = {
+    " ": ("pause, go on", lambda person: person.go_on() if person.paused else person.pause()),
+    "y": ("this one succeeded", Person.succeeded),
+    "n": ("this one failed", Person.failed),
+    "r": ("repeat this start", Person.repeat_start),
+    "q": ("save and stop", Person.stop),
 }
-"""What each key does."""
+"""What each key does, in words and by a call."""
 
 SECONDS = 0.1
 """How often the terminal is looked at."""
@@ -56,7 +56,7 @@ def listening(person: Person, enabled: bool = True) -> Iterator[None]:
             with suppress(termios.error):  # the terminal is gone
                 termios.tcsetattr(fd, termios.TCSADRAIN, before)
 
-    log.info("keys: %s", "; ".join(f"{_name(key)} {what}" for key, what in KEYS.items()))
+    log.info("keys: %s", "; ".join(f"{_name(key)} {what}" for key, (what, _) in KEYS.items()))
     thread = threading.Thread(target=_read, args=(fd, person, stopped), name="keys", daemon=True)
     with person.putting_back(put_back):
         thread.start()
@@ -69,13 +69,6 @@ def listening(person: Person, enabled: bool = True) -> Iterator[None]:
 
 
 def _read(fd: int, person: Person, stopped: threading.Event) -> None:
-    actions: dict[str, Callable[[], None]] = {
-        " ": lambda: person.go_on() if person.paused else person.pause(),
-        "y": person.succeeded,
-        "n": person.failed,
-        "r": person.repeat_start,
-        "q": person.stop,
-    }
     with suppress(OSError, termios.error):  # the terminal is gone: nobody asks anything any more
         while not stopped.is_set():
             if not _in_foreground(fd):
@@ -87,7 +80,8 @@ def _read(fd: int, person: Person, stopped: threading.Event) -> None:
                 key = os.read(fd, 1)
                 if not key:
                     return
-                actions.get(key.decode(errors="replace"), lambda: None)()
+                if (asked := KEYS.get(key.decode(errors="replace"))) is not None:
+                    asked[1](person)
 
 
 def _terminal() -> int | None:

@@ -90,7 +90,8 @@ class RealTime(Collection):
         except BaseException:
             self.close()
             raise
-        self._relayed = self._end_of_messages()
+        messages = self._hand_over.folder / "log.txt"
+        self._relayed = messages.stat().st_size if messages.is_file() else 0
 
     def tell(self, request: Request) -> None:
         """Pass on what a person asks for, also to the process."""
@@ -282,10 +283,6 @@ class RealTime(Collection):
             "the acting process died; every transition is on disk, "
             f"and its last words are in {self._hand_over.folder / 'log.txt'}"
         )
-
-    def _end_of_messages(self) -> int:
-        path = self._hand_over.folder / "log.txt"
-        return path.stat().st_size if path.is_file() else 0
 
     def _relay(self) -> None:
         """Say what the process has said since the last time."""

@@ -23,7 +23,7 @@ from __future__ import annotations
 import fcntl
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,8 +38,6 @@ from ...storage.files import lock
 __all__ = ["FOLDER", "HandOver", "Weights"]
 
 FOLDER = "realtime"
-
-
 REQUESTS = "requests.txt"
 
 
@@ -154,11 +152,9 @@ class HandOver:
                 return True
         return False
 
-    @contextmanager
-    def driving(self) -> Iterator[None]:
+    def driving(self) -> AbstractContextManager[None]:
         """Hold the robot while the body runs, as the acting process does for an episode."""
-        with _locked(self.folder / "robot"):
-            yield
+        return _locked(self.folder / "robot")
 
     def _replace(self, name: str, content: bytes) -> None:
         partial = self.folder / f".{name}.partial"
