@@ -46,7 +46,6 @@ class Rehearsal:
         environment: Makes the trainer's chain.
         policy: From the inputs to the residual ``action``.
         traced: The graph's entries and state.
-        seed: Of the entries.
     """
 
     steps = EPISODES * STEPS
@@ -57,12 +56,11 @@ class Rehearsal:
         environment: EnvironmentFactory,
         policy: TensorDictModuleBase,
         traced: Traced,
-        seed: int = 0,
     ) -> None:
         self._robot = SpecsOnly(like)
         self._env, self._policy, self._traced = chain_on(self._robot, environment), policy, traced
         self._keys, self._inputs = self._robot.entry_keys(), environment.read_inputs(self._env)
-        self._generator = torch.Generator().manual_seed(seed)
+        self._generator = torch.Generator().manual_seed(0)
         half_range = limits_of(like.full_action_spec[ACTION]).half_range.flatten().numpy()
         self._half_range = np.where(half_range == 0, 1.0, half_range)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from tensordict import NestedKey, TensorDict, TensorDictBase
@@ -78,22 +79,19 @@ def chain_on(robot: SpecsOnly, environment: EnvironmentFactory, **changes: Any) 
         environment: The factory.
         changes: Fields of the factory to replace.
     """
-
-    def silenced(make: Callable[[], Transform]) -> Callable[[], Transform]:
-        def build() -> Transform:
-            transform = make()
-            if isinstance(transform, RandomTransform):
-                transform.silence()
-            return transform
-
-        return build
-
     recording = [m for m in environment.disturbances if isinstance(m(), RandomTransform)]
     return replace(
         environment,
         base=lambda num_envs: robot,
         batching="native",
-        disturbances=[silenced(make) for make in recording],
-        sensing=[silenced(make) for make in environment.sensing],
+        disturbances=[partial(_silent, make) for make in recording],
+        sensing=[partial(_silent, make) for make in environment.sensing],
         **changes,
     ).make(1)
+
+
+def _silent(make: Callable[[], Transform]) -> Transform:
+    transform = make()
+    if isinstance(transform, RandomTransform):
+        transform.silence()
+    return transform
