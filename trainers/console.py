@@ -55,10 +55,10 @@ class Output(Console):
 
     def __init__(self, *, stderr: bool = False, file: TextIO | None = None) -> None:
         stream = file or (sys.stderr if stderr else sys.stdout)
-        terminal = getattr(stream, "isatty", bool)()
-        width = None if terminal else WIDE
-        plain = {"markup": False, "emoji": False, "highlight": False}
-        super().__init__(stderr=stderr, file=file, width=width, **plain)  # type: ignore[arg-type]
+        width = None if getattr(stream, "isatty", bool)() else WIDE
+        super().__init__(
+            stderr=stderr, file=file, width=width, markup=False, emoji=False, highlight=False
+        )
 
     def say(self, text: object, style: str | None = None) -> None:
         """Print a line that can be copied, a path or a command, as it is, tabs included."""

@@ -58,15 +58,12 @@ class Checkpoints:
         run_dir: the run's directory.
         keep: how many checkpoints stay.
         components: what to save, by name; anything with ``state_dict`` and ``load_state_dict``.
-
     """
 
     def __init__(self, run_dir: Path, keep: int, components: Mapping[str, Any]) -> None:
         self._folder, self._keep = run_dir / CHECKPOINTS, keep
         self._lock: int | None = None
-        self._checkpoint = Checkpoint()
-        for name, component in {**components, "rng": GlobalRNGState()}.items():
-            self._checkpoint.register(name, component, adapter=_WeightsOnly())
+        self._checkpoint = _of({**components, "rng": GlobalRNGState()})
 
     def claim(self) -> None:
         """Keep other processes from training here, until :meth:`release` or the process's end.
@@ -192,16 +189,21 @@ def load_components(run_dir: Path, components: Mapping[str, Any]) -> tuple[Path,
         The checkpoint, and the environment steps at which it was made.
     """
     path, note, _ = newest_whole(run_dir)
-    checkpoint = Checkpoint()
-    for name, component in components.items():
-        checkpoint.register(name, component, adapter=_WeightsOnly())
-    checkpoint.load(path, components=list(components))
+    _of(components).load(path, components=list(components))
     return path, int(note["env_steps"])
 
 
 def _found(folder: Path) -> list[Path]:
     """Published checkpoints, oldest first."""
     return sorted(p for p in folder.glob(f"{PREFIX}*") if p.is_dir() and not p.name.endswith(TORN))
+
+
+def _of(components: Mapping[str, Any]) -> Checkpoint:
+    """Return what saves and restores components, by name."""
+    checkpoint = Checkpoint()
+    for name, component in components.items():
+        checkpoint.register(name, component, adapter=_WeightsOnly())
+    return checkpoint
 
 
 class _WeightsOnly(CheckpointAdapter):
@@ -213,22 +215,11 @@ class _WeightsOnly(CheckpointAdapter):
     adapter_id = "rrl.weights_only"
     FILE = "state.pt"
 
-    def save(
-        self, component: Any, path: Path, *, args: tuple[Any, ...], kwargs: Mapping[str, Any]
-    ) -> Any:
+    def save(self, component: Any, path: Path, **_: Any) -> Any:
         path.mkdir(parents=True)
         torch.save(to_plain(component.state_dict(), path.name), path / self.FILE)
         torch.load(path / self.FILE, map_location="cpu", weights_only=True)  # or it does not count
 
-    def load(
-        self,
-        component: Any,
-        path: Path,
-        *,
-        map_location: Any,
-        tensor_load_kwargs: Mapping[str, Any],
-        args: tuple[Any, ...],
-        kwargs: Mapping[str, Any],
-    ) -> Any:
+    def load(self, component: Any, path: Path, **_: Any) -> Any:
         state = torch.load(path / self.FILE, map_location="cpu", weights_only=True)
         component.load_state_dict(from_plain(state))

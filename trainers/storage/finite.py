@@ -12,7 +12,6 @@ def require_finite(tensors: Mapping[str, Tensor], what: str) -> None:
 
     Raises:
         FloatingPointError: naming the entries, and that everything before is safe on disk.
-
     """
     broken = [
         name

@@ -39,12 +39,11 @@ def to_plain(state: Any, path: str = "state") -> Any:
         array = np.asarray(state)
         if array.dtype.kind not in "biufc":
             raise _refused(path, f"a NumPy array of {array.dtype}")
-        scalar = isinstance(state, np.generic)
         return {
             _NUMPY: torch.from_numpy(np.ascontiguousarray(array).view(np.uint8).reshape(-1).copy()),
             "dtype": array.dtype.str,
             "shape": list(array.shape),
-            "scalar": scalar,
+            "scalar": isinstance(state, np.generic),
         }
     if state is None or isinstance(state, (bool, int, float, str, bytes, torch.Size)):
         return state
@@ -91,6 +90,5 @@ def _key(key: Any, path: str) -> Any:
 def _refused(path: str, what: str) -> TypeError:
     return TypeError(
         f"{path}: expected tensors, NumPy arrays, numbers, text, lists or dictionaries, "
-        f"got {what}; "
-        "let state_dict return it as such, or leave it out"
+        f"got {what}; let state_dict return it as such, or leave it out"
     )
