@@ -7,7 +7,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import chain
-from pathlib import Path
 
 import torch
 from tensordict import NestedKey, TensorDictBase, unravel_key
@@ -116,7 +115,7 @@ class Acting:
         self.ending = ending
         modules = [policy] if exploration is None else [policy, exploration]
         self.thread = PolicyThread(TensorDictSequential(*modules), settings.flush_denormals)
-        self.log = TransitionLog(Path(hand_over.folder) / FOLDER)
+        self.log = TransitionLog(hand_over.folder / FOLDER)
         self.authority = Authority.of(env)
         self.requests = Requests()
         env.listen_to(self.requests)

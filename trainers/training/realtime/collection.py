@@ -175,14 +175,12 @@ class RealTime(Collection):
             self._process.wait()
         self._process, self._owns, self._found, self._stopped = None, False, False, True
 
+    close = stop
+
     def stop_at_once(self) -> None:
         """Have the process stop the robot and end; it would go on without a learner."""
         if self._owns or self._process:
             self._send(signal.SIGTERM)
-
-    def close(self) -> None:
-        """Have the process stop the robot and end, unless it is another learner's."""
-        self.stop()
 
     def _runs(self) -> bool:
         if self._process is not None:
