@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -121,8 +122,8 @@ class Acceptance:
             "alpha_left": self._budget.left,
         }
         named = {metrics.name(metrics.ACCEPTANCE, key): value for key, value in values.items()}
-        beside = self.handed_over.beside(comparison, env_steps, lambda _: self._now(comparison))
-        return beside, named
+        now, since = self._now(comparison), self.handed_over.env_steps
+        return replace(comparison, accepted=now, accepted_env_steps=since), named
 
     def state_dict(self) -> dict[str, Any]:
         """Return what is handed over, how many episodes are used up, and the error that is left."""

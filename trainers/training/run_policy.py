@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from rrl.algorithms import Agent
 from rrl.controllers import ZeroController
 from rrl.keys import ACTION
 
-from ..evaluation.episodes import Comparison, Episodes
+from ..evaluation.episodes import Comparison
 from ..evaluation.evaluator import Evaluator
 from ..seeds import Stream
 
@@ -71,32 +71,15 @@ class RunPolicy:
             episodes: How many.
         """
         latest = evaluator.compare(self._agent.policy, scenario, stream, episodes)
-        return self.beside(
-            latest, env_steps, lambda policy: evaluator.play(policy, scenario, stream, episodes)
-        )
-
-    def beside(
-        self,
-        comparison: Comparison,
-        env_steps: int,
-        play: Callable[[TensorDictModuleBase], Episodes],
-    ) -> Comparison:
-        """Return the learner's comparison with what the run hands over beside it.
-
-        Args:
-            comparison: Of the learner's latest policy.
-            env_steps: Environment steps that it has learned from.
-            play: Plays another policy on the same episodes.
-        """
         if not self.tested:
-            return comparison
+            return latest
         if self.env_steps == 0:
-            accepted = comparison.controller
+            accepted = latest.controller
         elif self.env_steps == env_steps:
-            accepted = comparison.residual
+            accepted = latest.residual
         else:
-            accepted = play(self.policy)
-        return replace(comparison, accepted=accepted, accepted_env_steps=self.env_steps)
+            accepted = evaluator.play(self.policy, scenario, stream, episodes)
+        return replace(latest, accepted=accepted, accepted_env_steps=self.env_steps)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the steps and the learner as it was then."""
