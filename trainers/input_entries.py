@@ -62,7 +62,7 @@ def _actions(inputs: Mapping[str, Input], env: EnvBase) -> dict[str, Input]:
     limits = limits_of(env.base_env.full_action_spec[ACTION])
     half_range = limits.half_range.reshape(-1, limits.half_range.shape[-1])[0]
     scale = torch.where(half_range == 0, 1.0, 1.0 / half_range)  # without range it never changes
-    scales = {BASE_ACTION: scale.tolist(), PREVIOUS_ACTION: 1.0}
+    scales: dict[str, list[float] | float] = {BASE_ACTION: scale.tolist(), PREVIOUS_ACTION: 1.0}
     return {
         name: replace(entry, scale=scales[name])
         for name, entry in inputs.items()
