@@ -13,7 +13,7 @@ from ..console import Output
 from ..errors import place
 from ..evaluation.episodes import Comparison, write_results
 from ..evaluation.evaluator import Evaluator
-from ..evaluation.video import choose_episode, render_comparison
+from ..evaluation.video import render_comparison
 from ..launch.job import Job, one_seed
 from ..pretrained import TrainedRun, best_run, trained_run
 from ..report.runs import Group, Record, Run, find_runs
@@ -117,29 +117,25 @@ def film(
     """Film an episode of what a run hands over; without a renderer say so, and film nothing.
 
     Args:
-        config: The resolved configuration.
+        config: The resolved configuration, checked.
         shown: What the run hands over.
         records: Of the final evaluation; not needed where the episode has a number.
         run_dir: Where the video goes, into ``videos``.
         console: Where to say what the video shows.
 
     Raises:
-        ValueError: If there is no such scenario or episode.
         RuntimeError: If this machine cannot render.
     """
-    settings, how = assembly.settings(config).evaluation, config["render"]
-    scenarios = assembly.scenarios(config)
+    scenarios, how = assembly.scenarios(config), config["render"]
     node, scenario = config["env"].get("renderer"), how["scenario"] or next(iter(scenarios))
     if not node:
         console.say("no video: env.renderer is not set")
         return []
-    if scenario not in scenarios:
-        raise ValueError(f"render.scenario: expected one of {sorted(scenarios)}, got {scenario!r}")
     if shown.tested and not shown.env_steps:
         console.say("the run hands over the controller: both halves of the video show it")
-    numbers = rescued(handed_over(records[scenario])) if scenario in records else []
-    episode = choose_episode(how["episode"], settings.final_episodes, numbers)
+    found = rescued(handed_over(records[scenario])) if scenario in records else []
+    episode = next(iter(found), 0) if how["episode"] == "rescue" else how["episode"]
     out = run_dir / VIDEOS / f"{scenario}_episode_{episode}.{how['format']}"
-    seed = first_seed(Stream.FINAL, settings.seed) + episode
+    seed = first_seed(Stream.FINAL, assembly.settings(config).evaluation.seed) + episode
     renderer = assembly.build(node)
     return [render_comparison(scenarios[scenario], shown.policy, renderer, seed, out, how)]

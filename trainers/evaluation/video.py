@@ -21,7 +21,7 @@ from ..environment import EnvironmentFactory, Input
 from .camera_views import beside, camera_views
 from .rollout import isolated_generators, rollout, zero_residual
 
-__all__ = ["Recording", "Renderer", "choose_episode", "record", "render_comparison"]
+__all__ = ["Recording", "Renderer", "record", "render_comparison"]
 
 Renderer = Callable[..., np.ndarray]
 """``renderer(base_env, states, width=..., height=...)`` gives uint8 frames ``[T, h, w, 3]``."""
@@ -32,26 +32,6 @@ COLORS = {"solved": (46, 125, 50), "failed": (183, 28, 28)}
 NEUTRAL = (70, 70, 70)
 HOLD_SECONDS = 1.0
 """How long the last frame stays."""
-
-
-def choose_episode(wanted: str | int, count: int, rescued: Sequence[int]) -> int:
-    """Return the number of the episode to show.
-
-    Args:
-        wanted: ``"rescue"``, the first of ``rescued`` (episode 0 if there is none), or a number.
-        count: How many episodes there are to choose from.
-        rescued: Episodes that the controller fails and the residual solves.
-
-    Raises:
-        ValueError: If ``wanted`` is anything else.
-    """
-    if wanted == "rescue":
-        return int(rescued[0]) if len(rescued) else 0
-    if not isinstance(wanted, int) or not 0 <= wanted < count:
-        raise ValueError(
-            f"render.episode: expected 'rescue' or a number below {count}, got {wanted!r}"
-        )
-    return wanted
 
 
 def render_comparison(

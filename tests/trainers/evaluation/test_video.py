@@ -11,9 +11,8 @@ from pixel_envs import PixelPoint
 from rrl.controllers import ProportionalController
 from rrl.envs import InsertionEnv, RenderingUnavailable, render_states
 from rrl.trainers.environment import EnvironmentFactory, Input
-from rrl.trainers.evaluation.episodes import Comparison, Episodes
 from rrl.trainers.evaluation.rollout import run_episodes, zero_residual
-from rrl.trainers.evaluation.video import choose_episode, record, render_comparison
+from rrl.trainers.evaluation.video import record, render_comparison
 
 SIZE = {"width": 64, "height": 48, "fps": 20}
 
@@ -33,21 +32,6 @@ def environment():
         inputs={"goal": Input()},
         max_episode_steps=50,
     )
-
-
-def episodes(success):
-    success = np.array(success)
-    n = len(success)
-    return Episodes(np.zeros(n), np.ones(n, dtype=int), success, np.zeros(n, dtype=bool))
-
-
-def test_the_first_rescue_is_chosen():
-    comparison = Comparison(episodes([True, True, True]), episodes([True, False, False]))
-    assert choose_episode("rescue", 3, comparison.rescues) == 1
-    assert choose_episode("rescue", 3, []) == 0
-    assert choose_episode(2, 3, comparison.rescues) == 2
-    with pytest.raises(ValueError, match="number below 3, got 3"):
-        choose_episode(3, 3, comparison.rescues)
 
 
 def test_the_recorded_episode_is_the_evaluated_one(environment):
