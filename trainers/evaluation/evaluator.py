@@ -14,7 +14,7 @@ from ..resumable_env import ResumableEnv
 from ..seeds import Stream, first_seed
 from ..settings import EvaluationSettings
 from .episodes import Comparison, Episodes
-from .frozen import FEW, explanation, replay_difference
+from .frozen import FEW, NOT_FROZEN, replay_difference
 from .rollout import run_episodes, zero_residual
 
 __all__ = ["Evaluator"]
@@ -120,17 +120,14 @@ class Evaluator:
     def is_frozen(self, scenario: str) -> bool:
         """Return whether a scenario's episodes can be played again; log once if they cannot."""
         if scenario not in self._frozen:
-            env, factory = self._env(scenario, FEW), self.scenarios[scenario]
-            difference = replay_difference(
-                env,
-                zero_residual(env),
-                self.first_seed(Stream.FOLLOWING),
-                factory.max_episode_steps,
-            )
+            env, most = self._env(scenario, FEW), self.scenarios[scenario].max_episode_steps
+            first = self.first_seed(Stream.FOLLOWING)
+            difference = replay_difference(env, zero_residual(env), first, most)
             self._frozen[scenario] = difference is None
             if difference is not None:
-                alone = env.batch_size.numel() <= 1
-                log.warning("%s", explanation(scenario, difference, alone))
+                several = env.batch_size.numel() > 1
+                shared = ", which all slots of a batch share" if several else ""
+                log.warning(NOT_FROZEN, scenario, difference, shared)
         return self._frozen[scenario]
 
     def first_seed(self, stream: Stream) -> int:

@@ -13,10 +13,20 @@ from torchrl.envs import EnvBase
 
 from .rollout import isolated_generators, rollout, whole
 
-__all__ = ["FEW", "explanation", "replay_difference"]
+__all__ = ["FEW", "NOT_FROZEN", "replay_difference"]
 
 FEW = 3
 """How many episodes are played twice."""
+NOT_FROZEN = (
+    "%s: the same frozen episodes came out differently when the controller played them twice (%s). "
+    "Seeded before each of them: the environment, by its set_seed, and the global generators of "
+    "Python's random, of NumPy and of torch%s. Policy and controller are therefore compared as "
+    "independent samples: without rescued and broken episodes and McNemar's test, and with wider "
+    "intervals. To pair them, let the environment draw everything from a generator that its "
+    "set_seed seeds."
+)
+"""What is logged of a scenario whose episodes are not frozen: its name, where they differ, and who
+shares the generators."""
 Trace = list[tuple[Mapping[NestedKey, NDArray[np.float64]], NDArray[np.bool_]]]
 """Of every step one number for each entry and slot, ``[slots]``, and the slots that still run."""
 
@@ -48,25 +58,6 @@ def replay_difference(
             place = f"from step {step} on" if step else "from its start on"
             return f"episode {each - seed + slot} differs {place}, in {entry!r}"
     return None
-
-
-def explanation(scenario: str, difference: str, alone: bool) -> str:
-    """Return what a user has to know of a scenario whose episodes are not frozen.
-
-    Args:
-        scenario: The scenario's name.
-        difference: What :func:`replay_difference` found.
-        alone: Whether an episode has an environment of its own, and not a slot of a batch.
-    """
-    shared = "" if alone else ", which all slots of a batch share"
-    return (
-        f"{scenario}: the same frozen episodes came out differently when the controller played "
-        f"them twice ({difference}). Seeded before each of them: the environment, by its "
-        "set_seed, and the global generators of Python's random, of NumPy and of torch"
-        f"{shared}. Policy and controller are therefore compared as independent samples: without "
-        "rescued and broken episodes and McNemar's test, and with wider intervals. To pair them, "
-        "let the environment draw everything from a generator that its set_seed seeds."
-    )
 
 
 def _trace(env: EnvBase, policy: TensorDictModuleBase, seed: int, max_steps: int) -> Trace:

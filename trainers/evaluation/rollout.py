@@ -84,35 +84,29 @@ def rollout(
         ``done``; beside it the slots whose episode had not ended before that step, bool
         ``[slots]``.
     """
-    try:
-        yield from _steps(env, policy, seed, max_steps, episodes)
-    finally:
-        stand_still(env)
-
-
-def _steps(
-    env: EnvBase, policy: TensorDictModuleBase, seed: int, max_steps: int, episodes: int
-) -> Iterator[tuple[TensorDictBase, Tensor]]:
     slots = max(env.batch_size.numel(), 1)
     running = torch.arange(slots) < (episodes or slots)
-    with torch.no_grad():
-        seed_env(env, seed)
-        td = env.reset()
-    yield td, running
-    for _ in range(max_steps):
-        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-            td = step_mdp(
-                env.step(policy(env.maybe_reset(td))),  # some refuse to step beyond an end
-                exclude_reward=False,
-                exclude_done=False,
-                exclude_action=False,
-            )
-        if isinstance(env, ResumableEnv) and env.is_cut_short:
-            raise _CutShort("a pause has stopped the robot")
+    try:
+        with torch.no_grad():
+            seed_env(env, seed)
+            td = env.reset()
         yield td, running
-        running = running & ~td["done"].reshape(slots)
-        if not running.any():
-            return
+        for _ in range(max_steps):
+            with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+                td = step_mdp(
+                    env.step(policy(env.maybe_reset(td))),  # some refuse to step beyond an end
+                    exclude_reward=False,
+                    exclude_done=False,
+                    exclude_action=False,
+                )
+            if isinstance(env, ResumableEnv) and env.is_cut_short:
+                raise _CutShort("a pause has stopped the robot")
+            yield td, running
+            running = running & ~td["done"].reshape(slots)
+            if not running.any():
+                return
+    finally:
+        stand_still(env)
 
 
 def run_episodes(
