@@ -30,11 +30,11 @@ TRIALS = 20
 
 def outcome_rows(experiment: Experiment, finding: Finding) -> Table:
     """Return successes by scenario, every arm and the controller on the same episodes."""
-    setting = _setting(experiment)
-    header = ["scenario", "arm", *setting, "succeeded, by seed [95 % interval of the rate]"]
-    header += ["of 20", "controller", "of 20", "rescued / broken", "McNemar's p, by seed"]
+    header = ["scenario", *_arm_header(experiment)]
+    header += ["succeeded, by seed [95 % interval of the rate]", "of 20", "controller", "of 20"]
+    header += ["rescued / broken", "McNemar's p, by seed"]
     return header, [
-        _success_row(outcome, scenario, bool(setting))
+        _success_row(outcome, scenario)
         for outcome in finding.outcomes
         if outcome.knows("success")
         for scenario in outcome.scenarios
@@ -43,20 +43,18 @@ def outcome_rows(experiment: Experiment, finding: Finding) -> Table:
 
 def final_rows(experiment: Experiment, finding: Finding) -> Table:
     """Return final return and success of every arm at every setting, over seeds."""
-    setting = _setting(experiment)
-    header = ["arm", *setting, "seeds"]
+    header = [*_arm_header(experiment), "seeds"]
     for entry in ("return", "success"):
         header += [f"{entry}: mean [95 % CI]", f"{entry}: IQM [bootstrap 95 %]"]
         header += [f"controller's {entry}"]
-    return header, [_final_row(outcome, bool(setting)) for outcome in finding.outcomes]
+    return header, list(map(_final_row, finding.outcomes))
 
 
 def followed_rows(experiment: Experiment, finding: Finding) -> Table:
     """Return the successes of every arm at the steps that the experiment names, over seeds."""
-    setting = _setting(experiment)
     at = [f"success after {steps} steps" for steps in experiment.evaluated_at]
-    return ["arm", *setting, *at], [
-        [*_arm(outcome, bool(setting)), *_followed(outcome, experiment.evaluated_at)]
+    return [*_arm_header(experiment), *at], [
+        [*_arm(outcome), *_followed(outcome, experiment.evaluated_at)]
         for outcome in finding.outcomes
         if outcome.follows("success")
     ]
@@ -72,14 +70,8 @@ def _followed(outcome: Outcome, steps: Sequence[int]) -> list[str]:
 
 def steps_rows(experiment: Experiment, finding: Finding) -> Table:
     """Return how many environment steps the runs of every arm needed."""
-    setting = _setting(experiment)
-    header = [
-        "arm",
-        *setting,
-        f"environment steps to {SOLVED:.0%}, by seed",
-        "median",
-        "reached by",
-    ]
+    header = [*_arm_header(experiment), f"environment steps to {SOLVED:.0%}, by seed"]
+    header += ["median", "reached by"]
     rows = []
     for outcome in finding.outcomes:
         steps = outcome.steps_to(SOLVED)
@@ -87,7 +79,7 @@ def steps_rows(experiment: Experiment, finding: Finding) -> Table:
         median = float(np.median([np.inf if s is None else s for s in steps]))
         middle = f"{median:.0f}" if np.isfinite(median) else "not reached"
         reached = f"{sum(s is not None for s in steps)} of {len(steps)}"
-        rows.append([*_arm(outcome, bool(setting)), each, middle, reached])
+        rows.append([*_arm(outcome), each, middle, reached])
     return header, rows
 
 
@@ -109,13 +101,8 @@ def overall_iqm(outcomes: Sequence[Outcome], entry: str) -> str:
     return _iqm([outcome.final(entry) for outcome in outcomes], unit)
 
 
-def _setting(experiment: Experiment) -> list[str]:
-    """Return the column of the sweep's values, if there is a sweep."""
-    return [experiment.sweep.name] if experiment.sweep else []
-
-
-def _success_row(outcome: Outcome, scenario: str, with_setting: bool) -> list[str]:
-    cells = [scenario, *_arm(outcome, with_setting)]
+def _success_row(outcome: Outcome, scenario: str) -> list[str]:
+    cells = [scenario, *_arm(outcome)]
     for counts in (outcome.counts(scenario), outcome.controller_counts(scenario)):
         cells += [str(counts), f"{TRIALS * counts.rate:.1f}"]
     if not outcome.paired(scenario):
@@ -132,8 +119,8 @@ def _unpaired_test(summary: Mapping[str, float]) -> str:
     return f"{summary['fisher_p']:.1g} (Fisher's)"
 
 
-def _final_row(outcome: Outcome, with_setting: bool) -> list[str]:
-    cells = [*_arm(outcome, with_setting), str(len(outcome.runs))]
+def _final_row(outcome: Outcome) -> list[str]:
+    cells = [*_arm(outcome), str(len(outcome.runs))]
     for entry, unit, form in (("return", 1.0, "{:.2f}"), ("success", 100.0, "{:.1f} %")):
         if not outcome.knows(entry):
             return [*cells, "", "", ""]
@@ -152,8 +139,15 @@ def interval_of(outcome: Outcome, entry: str, scenario: str | None = None) -> tu
     return mean_interval(outcome.final(entry, scenario))
 
 
-def _arm(outcome: Outcome, with_setting: bool) -> list[str]:
-    return [outcome.point.arm, *([f"{outcome.point.value:g}"] if with_setting else [])]
+def _arm_header(experiment: Experiment) -> list[str]:
+    """Return the columns of :func:`_arm`."""
+    return ["arm", experiment.sweep.name] if experiment.sweep else ["arm"]
+
+
+def _arm(outcome: Outcome) -> list[str]:
+    """Return an arm's name, and its setting if there is a sweep."""
+    point = outcome.point
+    return [point.arm] if point.value is None else [point.arm, f"{point.value:g}"]
 
 
 def _iqm(strata: Sequence[np.ndarray], unit: float) -> str:
