@@ -31,8 +31,10 @@ INTERVAL = "mean and 95 % confidence interval over seeds"
 def draw(experiment: Experiment, finding: Finding, folder: Path) -> Path:
     """Draw an experiment's figure; return the PNG, with the SVG beside it."""
     kinds = {"curves": _curves, "sweep": _sweep, "spread": _spread, "table": _table}
-    kinds |= {"tasks": _tasks, "front": _front}
+    kinds |= {"tasks": _tasks, "front": draw_front}
     figure = kinds[experiment.figure](experiment, finding)
+    if experiment.figure != "table":
+        _finish(figure, experiment, finding)
     folder.mkdir(parents=True, exist_ok=True)
     out = folder / f"{experiment.name}.png"
     figure.savefig(out, dpi=150)
@@ -48,7 +50,6 @@ def _curves(experiment: Experiment, finding: Finding) -> Figure:
                 _band(axis, outcome, entry, unit, COLORS[i % len(COLORS)], outcome.point.label)
         _controllers(axis, finding, entry, unit)
         axis.set_xlabel("environment steps of one seed")
-    _finish(figure, experiment, finding)
     return figure
 
 
@@ -82,7 +83,6 @@ def _sweep(experiment: Experiment, finding: Finding) -> Figure:
             _errors(axis, arms[arm], CONTROLLER + entry, unit, name, **look)
         axis.set_xlabel(experiment.sweep.label)
         axis.set_ylabel(f"final {axis.get_ylabel()}")
-    _finish(figure, experiment, finding)
     return figure
 
 
@@ -118,7 +118,6 @@ def _spread(experiment: Experiment, finding: Finding) -> Figure:
     axis.set_xticks(range(4), ["x", "y", "z", "sum"])
     axis.set_xlabel("direction")
     axis.set_ylabel("variance of the end effector's positions [cm²]")
-    _finish(figure, experiment, finding)
     return figure
 
 
@@ -165,13 +164,6 @@ def _tasks(experiment: Experiment, finding: Finding) -> Figure:
         axis.axis("off")
     for axis in axes[count - columns : count]:
         axis.set_xlabel("environment steps of one seed", fontsize=8)
-    _finish(figure, experiment, finding)
-    return figure
-
-
-def _front(experiment: Experiment, finding: Finding) -> Figure:
-    figure = draw_front(experiment, finding)
-    _finish(figure, experiment, finding, SHOWN)
     return figure
 
 
@@ -194,9 +186,8 @@ def _panels(finding: Finding) -> tuple[Figure, list[tuple[Axes, tuple[str, str, 
     return figure, list(zip(axes, known, strict=True))
 
 
-def _finish(
-    figure: Figure, experiment: Experiment, finding: Finding, shown: str = INTERVAL
-) -> None:
+def _finish(figure: Figure, experiment: Experiment, finding: Finding) -> None:
+    """Add a legend of all panels and a title."""
     named: dict[str, Any] = {}
     for axis in figure.axes:
         axis.grid(alpha=0.25)
@@ -207,6 +198,7 @@ def _finish(
     figure.legend(list(named.values()), list(named), ncols=min(3, len(named)), **look)
     counts = sorted({len(outcome.runs) for outcome in finding.outcomes})
     seeds = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
+    shown = SHOWN if experiment.figure == "front" else INTERVAL
     title = f"{experiment.heading}\n{seeds} seeds, {shown}"
     figure.suptitle(title, fontsize=10)
 
