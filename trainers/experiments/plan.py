@@ -89,16 +89,8 @@ def plan_points(
     Raises:
         ValueError: If an experiment has no values at this scale or an unknown source.
     """
-    found = [point for e in experiments for point in _points_of(e, settings, compose)]
     homes: dict[str, str] = {}
-    for point in found:
-        homes.setdefault(point.key, point.name)
-
-    def settled(point: Point) -> Point:
-        sources = {name: settled(source) for name, source in point.sources.items()}
-        return replace(point, home=homes[point.key], sources=sources)
-
-    return [settled(point) for point in found]
+    return [point for e in experiments for point in _points_of(e, settings, compose, homes)]
 
 
 def plan_jobs(points: Sequence[Point], out: Path) -> list[Job]:
@@ -138,7 +130,10 @@ def command(point: Point, seed: int, out: Path) -> str:
     return shlex.join(["rrl", "train", *overrides, f"trainer.seed={seed}"])
 
 
-def _points_of(experiment: Experiment, settings: Settings, compose: Compose) -> list[Point]:
+def _points_of(
+    experiment: Experiment, settings: Settings, compose: Compose, homes: dict[str, str]
+) -> list[Point]:
+    """Return an experiment's points; ``homes`` gets the first name of every key."""
     scale, sweep = settings.scales[settings.scale], experiment.sweep
     common = (*settings.overrides, *scale.overrides, *experiment.overrides)
     common += experiment.scales.get(settings.scale, ())
@@ -167,7 +162,8 @@ def _points_of(experiment: Experiment, settings: Settings, compose: Compose) -> 
         key, seeds = _key(config, used), tuple(range(settings.seeds_of(experiment)))
         swept = sweep.name if sweep else ""
         asked = arm, value, key, overrides, config, seeds, used, shown
-        return Point(experiment.name, *asked, swept=swept)
+        made = Point(experiment.name, *asked, swept=swept)
+        return replace(made, home=homes.setdefault(key, made.name))
 
     sources: dict[str, Point] = {}
     for name, overrides in experiment.sources.items():
