@@ -13,14 +13,23 @@ from ..launch.pool import Ending
 from ..report.markdown import MarkdownPage
 from ..report.page import Page
 from .claims import Verdict
-from .outcomes import Findings
+from .front import front_rows
+from .outcomes import Finding, Findings
 from .plan import command
-from .sections import STATISTICS, add_claims, add_experiment
 from .spec import Experiment, Settings
+from .standing import HEADER, READING, standing_row
+from .tables import effort, final_rows, followed_rows, outcome_rows, overall_iqm, steps_rows
 
 __all__ = ["Shown", "write_experiments", "write_results"]
 
 TITLE = "Residual reinforcement learning for robot control: the experiments again"
+STATISTICS = (
+    "Every number is from frozen episodes without exploration, the same for every seed and arm; "
+    "the controller alone runs the same episodes. Means are over seeds with Student's t interval; "
+    "intervals of success count seeds, not episodes, as independent; IQM is the interquartile mean "
+    "with a stratified bootstrap, which of at most three seeds is their mean."
+)
+CLAIMS_HEADER = ["claim", "the paper", "verdict", "numbers", "criterion"]
 
 
 @dataclass(frozen=True)
@@ -52,10 +61,7 @@ class Shown:
 
 
 def write_experiments(
-    shown: Shown,
-    video: Path | None,
-    clips: Mapping[str, Sequence[tuple[Path, str]]],
-    out: Path,
+    shown: Shown, video: Path | None, clips: Mapping[str, Sequence[tuple[Path, str]]], out: Path
 ) -> Path:
     """Write the HTML file ``out``: also videos, failures, configurations; figures enter as SVG.
 
@@ -67,8 +73,7 @@ def write_experiments(
     """
     page = Page(TITLE)
     page.text(shown.introduction)
-    if shown.verdicts:
-        add_claims(page, shown.verdicts)
+    _add_claims(page, shown.verdicts)
     if video is not None:
         page.section("One episode, twice")
         text = "The same frozen episode: the controller fails, with the residual it succeeds."
@@ -94,8 +99,7 @@ def write_results(shown: Shown, out: Path) -> Path:
         "`rrl reproduce` wrote this page, a report with videos and configurations, and the numbers "
         f"behind each figure as CSV. {shown.introduction}"
     )
-    if shown.verdicts:
-        add_claims(page, shown.verdicts)
+    _add_claims(page, shown.verdicts)
     for experiment in shown.experiments:
         if not alone:
             page.section(experiment.heading)
@@ -106,16 +110,55 @@ def write_results(shown: Shown, out: Path) -> Path:
     return page.write(out)
 
 
+def _add_claims(page: Page | MarkdownPage, verdicts: Sequence[Verdict]) -> None:
+    """Add the paper's claims, its numbers beside ours."""
+    if verdicts:
+        page.section("The paper's claims")
+        rows = [
+            [str(v.claim), v.claim.paper, v.word, v.numbers, v.claim.criterion] for v in verdicts
+        ]
+        page.table(CLAIMS_HEADER, rows)
+
+
 def _add(
     page: Page | MarkdownPage, shown: Shown, experiment: Experiment, beside: Path | None = None
 ) -> None:
-    """Add an experiment: its figure as SVG, or as PNG by the way to it from the page's folder."""
+    """Add an experiment's figure and tables, what they cost and the command that makes them.
+
+    The figure is added as SVG, or as PNG by the way to it from the page's folder ``beside``.
+    """
     if (finding := shown.findings.get(experiment.name)) is None:
         page.text("No run is finished yet.")
         return
+    if experiment.figure == "tasks":
+        page.table(HEADER, [standing_row(outcome) for outcome in finding.outcomes])
+        page.text(READING)
     png = shown.figures[experiment.name]
     figure = png.relative_to(beside) if beside else png.with_suffix(".svg")
-    add_experiment(page, experiment, finding, figure, shown.settings.as_arguments)
+    page.image(figure, f"Experiment `{experiment.name}`")
+    if experiment.figure == "front":
+        page.table(*front_rows(experiment, finding))
+    elif experiment.figure not in ("spread", "tasks"):
+        _tables(page, experiment, finding)
+    again = f"rrl reproduce {experiment.name} {shown.settings.as_arguments}"
+    page.text(f"{effort(finding)} Again: `{again}`.")
+
+
+def _tables(page: Page | MarkdownPage, experiment: Experiment, finding: Finding) -> None:
+    first = finding.outcomes[0]
+    page.table(*final_rows(experiment, finding))
+    if experiment.figure == "curves" and first.follows("success"):
+        page.table(*steps_rows(experiment, finding))
+    if experiment.evaluated_at:
+        page.table(*followed_rows(experiment, finding))
+    in_detail = experiment.figure in ("table", "sweep") or len(first.scenarios) > 1
+    if first.knows("success") and in_detail:
+        page.table(*outcome_rows(experiment, finding))
+    for arm in finding.arms if experiment.sweep else ():
+        outcomes = finding.arm(arm)
+        known = [entry for entry in ("return", "success") if outcomes[0].knows(entry)]
+        text = "; ".join(f"{entry} {overall_iqm(outcomes, entry)}" for entry in known)
+        page.text(f"{arm}, all settings, IQM with bootstrap stratified by setting: {text}.")
 
 
 def _versions_of_runs(shown: Shown) -> str:
