@@ -78,6 +78,6 @@ def write_project(folder):
     write(folder / "configs/experiment/drift.yaml", EXPERIMENT)
 
 
-def finding(*outcomes, name="some"):
+def finding(*outcomes):
     """An experiment of which these outcomes are all that was planned."""
-    return Finding(name, outcomes, tuple(outcome.point for outcome in outcomes))
+    return Finding(outcomes, tuple(outcome.point for outcome in outcomes))

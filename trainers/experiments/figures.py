@@ -16,7 +16,7 @@ from ..evaluation.statistics import mean_interval
 from ..report.curves import ALONE, alike, controllers, view
 from ..report.learning_curve import ACCEPTED_COLOR, CONTROLLER_COLOR, RESIDUAL_COLOR, draw_mean
 from .front import SHOWN, draw_front
-from .looks import COLORS, MARKERS, PANELS
+from .looks import COLORS, MARKERS, PANELS, unit_of
 from .outcomes import Finding, Outcome
 from .spec import Experiment
 from .spread import variances
@@ -44,16 +44,16 @@ def draw(experiment: Experiment, finding: Finding, folder: Path) -> Path:
 
 def _curves(experiment: Experiment, finding: Finding) -> Figure:
     figure, panels = _panels(finding)
-    for axis, (entry, _, unit) in panels:
+    for axis, entry in panels:
         for i, outcome in enumerate(finding.outcomes):
             if outcome.follows(entry):
-                _band(axis, outcome, entry, unit, COLORS[i % len(COLORS)], outcome.point.label)
-        _controllers(axis, finding, entry, unit)
+                _band(axis, outcome, entry, COLORS[i % len(COLORS)], outcome.point.label)
+        _controllers(axis, finding, entry)
         axis.set_xlabel("environment steps of one seed")
     return figure
 
 
-def _controllers(axis: Axes, finding: Finding, entry: str, unit: float) -> None:
+def _controllers(axis: Axes, finding: Finding, entry: str) -> None:
     """Draw the controllers alone, dashed: several in the colors of what learns on top of them."""
     level = CONTROLLER + entry
     having = [i for i, o in enumerate(finding.outcomes) if not o.acts_alone and o.follows(level)]
@@ -64,23 +64,23 @@ def _controllers(axis: Axes, finding: Finding, entry: str, unit: float) -> None:
         color = CONTROLLER_COLOR if len(same) == 1 else COLORS[of_one[0] % len(COLORS)]
         label = ALONE if len(same) == 1 else "the controller below it alone"
         shown = label if n == 0 else None
-        axis.plot(curve.steps, unit * curve.mean, "--", color=color, lw=1.4, label=shown)
+        axis.plot(curve.steps, unit_of(level) * curve.mean, "--", color=color, lw=1.4, label=shown)
 
 
 def _sweep(experiment: Experiment, finding: Finding) -> Figure:
     assert experiment.sweep is not None
     figure, panels = _panels(finding)
     colors = {arm: COLORS[i % len(COLORS)] for i, arm in enumerate(finding.arms)}
-    for axis, (entry, _, unit) in panels:
+    for axis, entry in panels:
         arms = {arm: finding.arm(arm) for arm in finding.arms}
         arms = {arm: found for arm, found in arms.items() if all(o.knows(entry) for o in found)}
         for arm, found in arms.items():
             marker = MARKERS[finding.arms.index(arm) % len(MARKERS)]
-            _errors(axis, found, entry, unit, arm, color=colors[arm], marker=marker)
+            _errors(axis, found, entry, arm, color=colors[arm], marker=marker)
         for name, (arm, *_) in controllers(_levels(arms, CONTROLLER + entry)).items():
             color = CONTROLLER_COLOR if name == ALONE else colors[arm]
             look = {"color": color, "marker": "s", "linestyle": "--"}
-            _errors(axis, arms[arm], CONTROLLER + entry, unit, name, **look)
+            _errors(axis, arms[arm], CONTROLLER + entry, name, **look)
         axis.set_xlabel(experiment.sweep.label)
         axis.set_ylabel(f"final {axis.get_ylabel()}")
     return figure
@@ -149,14 +149,14 @@ def _tasks(experiment: Experiment, finding: Finding) -> Figure:
     figure = Figure(figsize=(3.4 * columns, 2.4 * rows + 0.9), layout="constrained")
     axes = list(figure.subplots(rows, columns, squeeze=False).ravel())
     for axis, outcome in zip(axes, finding.outcomes, strict=False):
-        entry, label, unit = next(panel for panel in PANELS if outcome.knows(panel[0]))
-        _band(axis, outcome, entry, unit, RESIDUAL_COLOR, "latest policy")
+        entry = outcome.measured_by
+        _band(axis, outcome, entry, RESIDUAL_COLOR, "latest policy")
         if not outcome.acts_alone:
-            _level(axis, outcome, CONTROLLER + entry, unit, "--", CONTROLLER_COLOR, "controller")
+            _level(axis, outcome, CONTROLLER + entry, "--", CONTROLLER_COLOR, "controller")
         if outcome.follows(ACCEPTED + entry):
-            _level(axis, outcome, ACCEPTED + entry, unit, ":", ACCEPTED_COLOR, "handed over")
+            _level(axis, outcome, ACCEPTED + entry, ":", ACCEPTED_COLOR, "handed over")
         axis.set_title(textwrap.fill(outcome.point.label, 38), fontsize=9)
-        axis.set_ylabel(label, fontsize=8)
+        axis.set_ylabel(PANELS[entry], fontsize=8)
         axis.tick_params(labelsize=8)
         lines = [np.asarray(line.get_ydata(), dtype=float) for line in axis.get_lines()]
         axis.set_ylim(*((-3, 103) if entry == "success" else view(lines, 0.25)))
@@ -167,20 +167,18 @@ def _tasks(experiment: Experiment, finding: Finding) -> Figure:
     return figure
 
 
-def _level(
-    axis: Axes, outcome: Outcome, entry: str, unit: float, style: str, color: str, label: str
-) -> None:
+def _level(axis: Axes, outcome: Outcome, entry: str, style: str, color: str, label: str) -> None:
     curve = outcome.curve(entry)
-    axis.plot(curve.steps, unit * curve.mean, style, color=color, lw=1.8, label=label)
+    axis.plot(curve.steps, unit_of(entry) * curve.mean, style, color=color, lw=1.8, label=label)
 
 
-def _panels(finding: Finding) -> tuple[Figure, list[tuple[Axes, tuple[str, str, float]]]]:
-    """Return axes for what any of the arms reports: entry, title and unit."""
-    known = [p for p in PANELS if any(outcome.knows(p[0]) for outcome in finding.outcomes)]
+def _panels(finding: Finding) -> tuple[Figure, list[tuple[Axes, str]]]:
+    """Return axes for the entries that any of the arms reports."""
+    known = [entry for entry in PANELS if any(o.knows(entry) for o in finding.outcomes)]
     figure = Figure(figsize=(5.6 * len(known), 4.2), layout="constrained")
     axes = list(np.atleast_1d(figure.subplots(1, len(known))))
-    for axis, (entry, label, _) in zip(axes, known, strict=True):
-        axis.set_ylabel(label)
+    for axis, entry in zip(axes, known, strict=True):
+        axis.set_ylabel(PANELS[entry])
         if entry == "success":
             axis.set_ylim(-3, 103)
     return figure, list(zip(axes, known, strict=True))
@@ -203,20 +201,19 @@ def _finish(figure: Figure, experiment: Experiment, finding: Finding) -> None:
     figure.suptitle(title, fontsize=10)
 
 
-def _band(axis: Axes, outcome: Outcome, entry: str, unit: float, color: str, label: str) -> None:
+def _band(axis: Axes, outcome: Outcome, entry: str, color: str, label: str) -> None:
     curve = outcome.curve(entry)
     band = curve.band(outcome.followed_episodes if entry == "success" else None)
-    draw_mean(axis, curve, band, unit, color, label)
+    draw_mean(axis, curve, band, unit_of(entry), color, label)
 
 
-def _errors(
-    axis: Axes, outcomes: Sequence[Outcome], entry: str, unit: float, label: str, **look: Any
-) -> None:
+def _errors(axis: Axes, outcomes: Sequence[Outcome], entry: str, label: str, **look: Any) -> None:
     """Draw final values over the sweep; the controller's are the same for every seed."""
     mean = np.array([outcome.final(entry).mean() for outcome in outcomes])
     low, high = mean, mean
     if not entry.startswith(CONTROLLER):
         low, high = np.array([interval_of(outcome, entry) for outcome in outcomes]).T
     at = [outcome.point.value or 0.0 for outcome in outcomes]
+    unit = unit_of(entry)
     error = unit * np.nan_to_num(np.maximum(0.0, [mean - low, high - mean]))
     axis.errorbar(at, unit * mean, error, capsize=3, lw=2, ms=5, label=label, **look)

@@ -12,12 +12,12 @@ from matplotlib.figure import Figure
 from rrl.keys import METRICS
 
 from ..evaluation.entries import CONTROLLER
-from ..metric_names import ABOVE, P99, is_share
+from ..metric_names import ABOVE, P99
 from ..report.curves import ALONE, controllers
 from ..report.learning_curve import CONTROLLER_COLOR
 from ..report.panels import Declared, agreed, quantity_title
 from ..report.tables import with_interval
-from .looks import COLORS, MARKERS, PANELS
+from .looks import COLORS, MARKERS, PANELS, unit_of
 from .outcomes import Finding, Outcome
 from .spec import Experiment
 from .tables import Table, interval_of
@@ -38,8 +38,7 @@ def draw_front(experiment: Experiment, finding: Finding) -> Figure:
     """
     quantity, first = f"{METRICS}/{experiment.metric}", finding.outcomes[0]
     declared, alone = _declared(experiment, finding), _controllers(finding, quantity)
-    _, label, unit = _reached(first)
-    limit = declared[str(experiment.metric)].get("limit")
+    reached, limit = first.measured_by, declared[str(experiment.metric)].get("limit")
     figure = Figure(figsize=(5.6 * len(first.scenarios), 4.8), layout="constrained")
     axes = list(figure.subplots(1, len(first.scenarios), squeeze=False)[0])
     for axis, scenario in zip(axes, first.scenarios, strict=True):
@@ -51,10 +50,11 @@ def draw_front(experiment: Experiment, finding: Finding) -> Figure:
             _point(axis, outcome, scenario, quantity, look)
         if limit is not None:
             axis.axvline(limit, color="#999999", lw=1, label="limit of single episodes")
-        axis.set(title=scenario, xlabel=quantity_title(quantity, declared), ylabel=label)
+        title = quantity_title(quantity, declared)
+        axis.set(title=scenario, xlabel=title, ylabel=PANELS[reached])
         if axis.dataLim.x0 >= 0.0:
             axis.set_xlim(left=0.0)
-        if unit == 100.0:
+        if reached == "success":
             axis.set_ylim(-3, 103)
     return figure
 
@@ -68,14 +68,14 @@ def front_rows(experiment: Experiment, finding: Finding) -> Table:
     shown = [e for e in (quantity, quantity + P99, quantity + ABOVE["limit"]) if first.knows(e)]
     declared = _declared(experiment, finding)
     titles = [quantity_title(e, declared) for e in shown]
-    reached, label, _ = _reached(first)
+    reached = first.measured_by
     rows = []
     for scenario in first.scenarios:
         for name, below in _controllers(finding, quantity).items():
             cells = _alone(below, scenario, (reached, *shown))
             rows.append([scenario, name, "", *(f"{cell:.1f}" for cell in cells)])
         rows += [_row(outcome, scenario, reached, shown) for outcome in finding.outcomes]
-    return ["scenario", "arm", "seeds", label, *titles], rows
+    return ["scenario", "arm", "seeds", PANELS[reached], *titles], rows
 
 
 def _controllers(finding: Finding, quantity: str) -> dict[str, Outcome]:
@@ -92,12 +92,9 @@ def _marks(outcome: Outcome, quantity: str) -> tuple[float, ...]:
 
 
 def _row(outcome: Outcome, scenario: str, reached: str, shown: Sequence[str]) -> list[str]:
-    mean, interval = (
-        outcome.final(reached, scenario).mean(),
-        interval_of(outcome, reached, scenario),
-    )
-    cells = [with_interval(mean, interval, _unit(reached))]
-    for values in (outcome.final(entry, scenario) * _unit(entry) for entry in shown):
+    mean = outcome.final(reached, scenario).mean()
+    cells = [with_interval(mean, interval_of(outcome, reached, scenario), unit_of(reached))]
+    for values in (outcome.final(entry, scenario) * unit_of(entry) for entry in shown):
         cells.append(f"{values.mean():.1f} ({values.min():.1f} to {values.max():.1f})")
     return [scenario, outcome.point.label, str(len(outcome.runs)), *cells]
 
@@ -105,7 +102,7 @@ def _row(outcome: Outcome, scenario: str, reached: str, shown: Sequence[str]) ->
 def _point(
     axis: Axes, outcome: Outcome, scenario: str, quantity: str, look: dict[str, Any]
 ) -> None:
-    reached, _, unit = _reached(outcome)
+    reached, unit = outcome.measured_by, unit_of(outcome.measured_by)
     values, each = outcome.final(quantity, scenario), unit * outcome.final(reached, scenario)
     axis.plot(values, each, ls="", ms=4, alpha=0.45, **look)
     at, height = values.mean(), each.mean()
@@ -127,12 +124,12 @@ def _controller(
 
 def _entries(outcome: Outcome, quantity: str) -> tuple[str, ...]:
     """What a mark shows: its height, its place and the end of its tail."""
-    return _reached(outcome)[0], quantity, quantity + P99
+    return outcome.measured_by, quantity, quantity + P99
 
 
 def _alone(outcome: Outcome, scenario: str, entries: Sequence[str]) -> list[float]:
     """What the controller came to, as it is shown."""
-    return [_unit(e) * float(outcome.final(CONTROLLER + e, scenario)[0]) for e in entries]
+    return [unit_of(e) * float(outcome.final(CONTROLLER + e, scenario)[0]) for e in entries]
 
 
 def _tail(axis: Axes, at: float, high: float, height: float, color: str) -> None:
@@ -141,15 +138,7 @@ def _tail(axis: Axes, at: float, high: float, height: float, color: str) -> None
     axis.plot(high, height, "|", color=color, ms=9)
 
 
-def _reached(outcome: Outcome) -> tuple[str, str, float]:
-    return next(panel for panel in PANELS if outcome.knows(panel[0]))
-
-
 def _declared(experiment: Experiment, finding: Finding) -> Declared:
     """What all configurations say of the metric: unit, limit."""
     name = str(experiment.metric)
     return agreed({name: o.point.config["env"]["metrics"][name] or {}} for o in finding.outcomes)
-
-
-def _unit(entry: str) -> float:
-    return 100.0 if is_share(entry) or entry == "success" else 1.0

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from ..evaluation.entries import ACCEPTED, CONTROLLER
+from ..metric_names import is_share
 from ..report.learning_curve import RESIDUAL_COLOR
 
-__all__ = ["COLORS", "MARKERS", "PANELS"]
+__all__ = ["COLORS", "MARKERS", "PANELS", "unit_of"]
 
 COLORS = (
     RESIDUAL_COLOR,
@@ -12,5 +14,11 @@ COLORS = (
 )
 """Distinct for the color-blind (Okabe and Ito), and from the controller's."""
 MARKERS = "osD^vPX*"
-PANELS = (("success", "success rate [%]", 100.0), ("return", "return of an episode", 1.0))
-"""Entry, title and unit; where the first is not reported, the second stands in."""
+PANELS = {"success": "success rate [%]", "return": "return of an episode"}
+"""Entry and title."""
+RATES = tuple(prefix + "success" for prefix in ("", CONTROLLER, ACCEPTED))
+
+
+def unit_of(entry: str) -> float:
+    """Return what an entry is multiplied by to be shown: rates are shown in per cent."""
+    return 100.0 if entry in RATES or is_share(entry) else 1.0

@@ -10,7 +10,6 @@ from typing import Any
 from rrl.keys import METRICS
 
 from ..evaluation.entries import ACCEPTED, CONTROLLER
-from ..loggers import metrics
 from ..report.runs import Run
 from .outcomes import Finding, Outcome
 from .spec import Experiment
@@ -57,10 +56,7 @@ def write_numbers(experiment: Experiment, finding: Finding, path: Path) -> Path:
 
 def _training(run: Run) -> Iterator[Row]:
     """The evaluations while the run learned."""
-    columns: dict[str, dict[int, float]] = {}
-    for column, entry in _entries():
-        name = metrics.name(metrics.EVALUATION, run.followed, entry)
-        columns[column] = dict(run.metrics.get(name, ()))
+    columns = {column: dict(run.evaluations(entry)) for column, entry in _entries()}
     episodes = run.config["trainer"]["evaluation"]["episodes"]
     common = {"evaluation": "training", "scenario": run.followed, "episodes": episodes}
     for step in sorted({step for values in columns.values() for step in values}):

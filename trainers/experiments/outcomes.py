@@ -71,6 +71,11 @@ class Outcome:
         return list(self.runs[0].results)
 
     @property
+    def measured_by(self) -> str:
+        """``success`` where the environment reports it, else ``return``."""
+        return "success" if self.knows("success") else "return"
+
+    @property
     def acts_alone(self) -> bool:
         """Whether the policy has no controller below it."""
         return str(self.point.config["controller"]["_target_"]).endswith(".ZeroController")
@@ -114,21 +119,18 @@ class Outcome:
 
     def follows(self, entry: str) -> bool:
         """Return whether the evaluations during training have that entry."""
-        name = metrics.name(metrics.EVALUATION, self.followed, entry)
-        return all(name in run.metrics for run in self.runs)
+        return all(run.evaluations(entry) for run in self.runs)
 
     def steps_to(self, success: float) -> list[float | None]:
         """Return each run's environment steps at the first evaluation with that much success."""
-        name = metrics.name(metrics.EVALUATION, self.followed, "success")
-        reached = [[s for s, rate in r.metrics.get(name, []) if rate >= success] for r in self.runs]
-        return [min(steps, default=None) for steps in reached]
+        rates = [run.evaluations("success") for run in self.runs]
+        return [min((s for s, rate in of_run if rate >= success), default=None) for of_run in rates]
 
     def curve(self, entry: str) -> Curve:
         """Return an entry of the followed scenario's evaluations, over environment steps."""
-        name = metrics.name(metrics.EVALUATION, self.followed, entry)
-        series = {i: run.metrics.get(name, []) for i, run in enumerate(self.runs)}
+        series = {i: run.evaluations(entry) for i, run in enumerate(self.runs)}
         if not all(series.values()):
-            raise KeyError(name)
+            raise KeyError(metrics.name(metrics.EVALUATION, self.followed, entry))
         return curve(series)
 
 
@@ -137,12 +139,10 @@ class Finding:
     """An experiment with what there is of its outcomes, in the order of its arms and settings.
 
     Attributes:
-        name: Of the experiment.
         outcomes: One for each point that has a finished run.
         planned: All points, but those that arms start from.
     """
 
-    name: str
     outcomes: tuple[Outcome, ...]
     planned: tuple[Point, ...]
 
@@ -181,4 +181,4 @@ def gather(points: Sequence[Point], done: Sequence[Job], out: Path) -> Findings:
         paths = [run_directory(point, seed, out) for seed in point.seeds]
         if runs := tuple(Run(path, names[path]) for path in paths if path in names):
             found.setdefault(point.experiment, []).append(Outcome(point, runs))
-    return {name: Finding(name, tuple(o), tuple(planned[name])) for name, o in found.items()}
+    return {name: Finding(tuple(o), tuple(planned[name])) for name, o in found.items()}

@@ -13,6 +13,7 @@ from ..evaluation.statistics import Interval
 from ..loggers import metrics
 from ..report.runs import Run
 from ..report.tables import gain, handed_over, success_cells
+from .looks import unit_of
 from .outcomes import Outcome
 
 __all__ = ["HEADER", "READING", "Standing", "standing", "standing_row"]
@@ -76,7 +77,7 @@ def standing(outcome: Outcome) -> Standing:
     Raises:
         KeyError: If the runs logged no evaluation during training.
     """
-    entry = "success" if outcome.knows("success") else "return"
+    entry = outcome.measured_by
     records = [handed_over(run.results[outcome.followed]) for run in outcome.runs]
     share = float(outcome.point.config["trainer"]["acceptance"]["margin"])
     alone = [record["episodes"][CONTROLLER + entry] for record in records]
@@ -88,7 +89,7 @@ def standing(outcome: Outcome) -> Standing:
 def standing_row(outcome: Outcome) -> list[str]:
     """Return an arm's row for ``HEADER``."""
     found = standing(outcome)
-    unit = 100.0 if found.entry == "success" else 1.0
+    unit = unit_of(found.entry)
     records = [run.results[outcome.followed] for run in outcome.runs]
     controller, latest, *_ = success_cells(records)
     _, accepted, change, *_ = success_cells(list(map(handed_over, records)))
@@ -102,10 +103,9 @@ def standing_row(outcome: Outcome) -> list[str]:
 def _changes(run: Run, entry: str) -> Iterator[float]:
     """What is handed over less the controller, at each evaluation during training."""
     prefixes = (CONTROLLER, ACCEPTED, "")
-    names = [metrics.name(metrics.EVALUATION, run.followed, p + entry) for p in prefixes]
-    controller, accepted, latest = (run.metrics.get(name, []) for name in names)
+    controller, accepted, latest = (run.evaluations(prefix + entry) for prefix in prefixes)
     if not controller:
-        raise KeyError(names[0])
+        raise KeyError(metrics.name(metrics.EVALUATION, run.followed, CONTROLLER + entry))
     for (_, alone), (_, value) in zip(controller, accepted or latest, strict=True):
         yield value - alone
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..evaluation.statistics import iqm, iqm_interval, mean_interval, success_interval
 from ..report.tables import with_interval
+from .looks import unit_of
 from .outcomes import SOLVED, Finding, Outcome
 from .spec import Experiment
 
@@ -97,8 +98,7 @@ def effort(finding: Finding) -> str:
 
 def overall_iqm(outcomes: Sequence[Outcome], entry: str) -> str:
     """Return the interquartile mean over seeds and settings, resampled within each setting."""
-    unit = 100.0 if entry.endswith("success") else 1.0
-    return _iqm([outcome.final(entry) for outcome in outcomes], unit)
+    return _iqm([outcome.final(entry) for outcome in outcomes], unit_of(entry))
 
 
 def _success_row(outcome: Outcome, scenario: str) -> list[str]:
@@ -121,10 +121,11 @@ def _unpaired_test(summary: Mapping[str, float]) -> str:
 
 def _final_row(outcome: Outcome) -> list[str]:
     cells = [*_arm(outcome), str(len(outcome.runs))]
-    for entry, unit, form in (("return", 1.0, "{:.2f}"), ("success", 100.0, "{:.1f} %")):
+    for entry, form in (("return", "{:.2f}"), ("success", "{:.1f} %")):
         if not outcome.knows(entry):
             return [*cells, "", "", ""]
         values, controller = outcome.final(entry), outcome.final(f"controller_{entry}")
+        unit = unit_of(entry)
         cells.append(with_interval(values.mean(), interval_of(outcome, entry), unit))
         cells.append(_iqm([values], unit))
         cells.append("none" if outcome.acts_alone else form.format(controller.mean() * unit))

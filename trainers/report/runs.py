@@ -15,14 +15,7 @@ import yaml
 
 from ..loggers import metrics
 from ..loggers.csv_file import read_metrics
-from ..storage.run_files import (
-    CONFIG_FILE,
-    METRICS,
-    RESULTS,
-    VERSIONS,
-    VIDEOS,
-    seed_directories,
-)
+from ..storage.run_files import CONFIG_FILE, METRICS, RESULTS, VERSIONS, VIDEOS, seed_directories
 from ..storage.same_run import SEEDS, measured_settings
 from .curves import Curve, curve
 from .panels import FOLLOWED, Declared
@@ -106,6 +99,13 @@ class Run:
     def videos(self) -> list[Path]:
         """Rendered episodes."""
         return _videos_in(self.path)
+
+    def evaluations(self, entry: str) -> list[tuple[int, float]]:
+        """Return an entry of the followed scenario's evaluations: ``(env_steps, value)`` in order.
+
+        Empty where it was not logged.
+        """
+        return self.metrics.get(metrics.name(metrics.EVALUATION, self.followed, entry), [])
 
     def summary(self, scenario: str | None = None) -> Mapping[str, float]:
         """Return the final evaluation in a scenario; None: the followed one.

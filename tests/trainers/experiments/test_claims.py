@@ -18,7 +18,7 @@ from rrl.trainers.launch.pool import Ending
 
 def verdict(number, *outcomes):
     claim = next(claim for claim in CLAIMS if claim.number == number)
-    found = judge({claim.experiment: finding(*outcomes, name=claim.experiment)})
+    found = judge({claim.experiment: finding(*outcomes)})
     return next(verdict for verdict in found if verdict.claim is claim)
 
 
@@ -107,7 +107,7 @@ def test_a_claim_is_not_judged_on_a_part_of_its_runs(outcome):
     )
     claim = next(claim for claim in CLAIMS if claim.number == "8")
     planned = (outcome(value=0.1).point, outcome(value=0.2).point)
-    (found,) = judge({claim.experiment: Finding("bias-real", (outcome(value=0.1),), planned)})
+    (found,) = judge({claim.experiment: Finding((outcome(value=0.1),), planned)})
     assert '0 of 3 seeds of "residual RL, mu = 0.2"' in found.numbers
 
 
@@ -142,7 +142,7 @@ def shown_of(outcome, tmp_path, **ending):
         ),
     ]
     made = outcome(scenarios={"misaligned": {}, "aligned": {"success": 0.5}})
-    findings = {e.name: finding(made, name=e.name) for e in experiments}
+    findings = {e.name: finding(made) for e in experiments}
     figures = {e.name: draw(e, findings[e.name], tmp_path / "figures") for e in experiments}
     scale = {"quick": {"seeds": 3}}
     settings = Settings(scale="quick", launcher="local", workers=1, out="out", scales=scale)
