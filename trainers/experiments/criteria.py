@@ -34,12 +34,9 @@ def learns_faster(finding: Finding) -> tuple[bool, str]:
     residual, alone = (
         finding.arm(arm)[0].curve("return").values.mean(axis=1) for arm in (RESIDUAL, ALONE)
     )
-    low, high = _interval(residual)[0], _interval(alone)[1]
-    return (
-        low > high,
-        f"mean return over training: residual {_with_interval(residual)}, "
-        f"RL alone {_with_interval(alone)}",
-    )
+    text = f"mean return over training: residual {_with_interval(residual)}, "
+    text += f"RL alone {_with_interval(alone)}"
+    return _interval(residual)[0] > _interval(alone)[1], text
 
 
 def ends_above(finding: Finding) -> tuple[bool, str]:
@@ -73,9 +70,8 @@ def withstands_noise(finding: Finding) -> tuple[bool, str]:
     controller = [float(outcome.final("controller_return").mean()) for outcome in (first, last)]
     text = f"return at sigma = {first.point.value:g} and {last.point.value:g}: "
     text += f"residual {before:.2f} and {after:.2f}, "
-    return before - after < 0.1 * abs(
-        before
-    ), f"{text}controller {controller[0]:.2f} and {controller[1]:.2f}"
+    text += f"controller {controller[0]:.2f} and {controller[1]:.2f}"
+    return before - after < 0.1 * abs(before), text
 
 
 def solves_misaligned(finding: Finding) -> tuple[bool, str]:
@@ -106,13 +102,10 @@ def learns_under_bias(finding: Finding) -> tuple[bool, str]:
     """At every bias the residual ends at 15 of 20 or more, and not below the controller."""
     parts, holds = [], True
     for outcome in finding.arm(RESIDUAL):
-        residual, controller = (
-            outcome.final("success").mean(),
-            outcome.final("controller_success").mean(),
-        )
-        parts.append(
-            f"mu = {outcome.point.value:g}: residual {residual:.0%}, controller {controller:.0%}"
-        )
+        residual = outcome.final("success").mean()
+        controller = outcome.final("controller_success").mean()
+        rates = f"residual {residual:.0%}, controller {controller:.0%}"
+        parts.append(f"mu = {outcome.point.value:g}: {rates}")
         holds &= bool(residual >= 15 / 20 and residual >= controller)
     return holds, "; ".join(parts)
 

@@ -138,9 +138,8 @@ def _task_table(experiment: Experiment, finding: Finding) -> Table:
 
 
 def _verdict_table(verdicts: Sequence[Verdict]) -> Table:
-    table = Table(title="The paper's claims", title_justify="left", show_lines=True)
-    for column in ("claim", "verdict", "numbers"):
-        table.add_column(column)
+    columns, title = ("claim", "verdict", "numbers"), "The paper's claims"
+    table = Table(*columns, title=title, title_justify="left", show_lines=True)
     for verdict in verdicts:
         style = {True: "green", False: "red", None: "dim"}[verdict.holds]
         table.add_row(str(verdict.claim), Text(verdict.word, style=style), verdict.numbers)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -176,18 +176,8 @@ def load_experiments(names: Sequence[str], folders: Sequence[Path]) -> list[Expe
     if unknown := [name for name in names if name not in known]:
         choices = ", ".join(sorted(known))
         raise ValueError(f"experiment: expected one of {choices}, got {', '.join(unknown)}")
-    found = {name: _read(name, known[name]) for name in dict.fromkeys(names or known)}
-    found = {name: e for name, e in found.items() if names or not e.by_name}
-    for experiment in list(found.values()):
-        if experiment.runs_of and experiment.runs_of not in known:
-            choices = ", ".join(sorted(known))
-            raise ValueError(
-                f"{experiment.name}.runs_of: expected one of {choices}, got {experiment.runs_of!r}"
-            )
-    return [
-        _with_runs(e, _read(e.runs_of, known[e.runs_of])) if e.runs_of else e
-        for e in found.values()
-    ]
+    found = [_read(name, known[name]) for name in dict.fromkeys(names or known)]
+    return [_with_runs(e, known) for e in found if names or not e.by_name]
 
 
 def load_settings(folders: Sequence[Path], changes: dict[str, Any]) -> Settings:
@@ -204,7 +194,16 @@ def load_settings(folders: Sequence[Path], changes: dict[str, Any]) -> Settings:
     return _validated(Settings, {**_content(path), **changes}, path.name)
 
 
-def _with_runs(experiment: Experiment, other: Experiment) -> Experiment:
+def _with_runs(experiment: Experiment, known: Mapping[str, Path]) -> Experiment:
+    """Return an experiment with the runs of the one that it names, if it names one."""
+    if experiment.runs_of is None:
+        return experiment
+    if experiment.runs_of not in known:
+        choices = ", ".join(sorted(known))
+        raise ValueError(
+            f"{experiment.name}.runs_of: expected one of {choices}, got {experiment.runs_of!r}"
+        )
+    other = _read(experiment.runs_of, known[experiment.runs_of])
     if other.runs_of:
         raise ValueError(
             f"{experiment.name}.runs_of: expected an experiment with arms, got {other.name!r}, "
