@@ -62,25 +62,17 @@ def _budget(results: Results, name: str, how: Mapping[str, Any]) -> Iterator[str
 
 def _what_is_handed_over(steps: Sequence[int]) -> str:
     """Say what the runs hand over; 0 steps stand for the controller."""
-    learned = [step for step in steps if step]
-    if len(steps) > 1 and len(learned) == len(steps):
-        return (
-            f"Handed over: a learned policy by all {len(steps)} runs, which passed the test that "
-            "it is not worse than the controller."
-        )
-    if len(steps) > 1:
-        return (
-            f"Handed over: a learned policy by {len(learned)} of {len(steps)} runs, the controller "
-            "alone by the others, in which no policy passed the test against it."
-        )
-    if not learned:
-        return (
-            "Handed over: the controller alone. No policy passed the test that it is not worse "
-            "than the controller."
-        )
+    learned, runs = [step for step in steps if step], len(steps)
+    test = "passed the test that it is not worse than the controller."
+    if len(learned) == runs == 1:
+        return f"Handed over: the policy after {learned[0]} environment steps, which {test}"
+    if runs == 1:
+        return f"Handed over: the controller alone. No policy {test}"
+    if len(learned) == runs:
+        return f"Handed over: a learned policy by all {runs} runs, which {test}"
     return (
-        f"Handed over: the policy after {learned[0]} environment steps, which passed the test that "
-        "it is not worse than the controller."
+        f"Handed over: a learned policy by {len(learned)} of {runs} runs, the controller alone by "
+        "the others, in which no policy passed the test against it."
     )
 
 

@@ -18,6 +18,7 @@ from .runs import Group, Record, Run, group_runs
 
 __all__ = ["write_report"]
 
+OVERVIEW = ("run", "arm", "environment", "algorithm", "disturbance", "seeds", "steps", "directory")
 MAX_TITLE = 80
 MAX_VIDEO_BYTES = 20_000_000
 """A page with more videos could not be mailed; the rest stay in the run's directory."""
@@ -33,7 +34,8 @@ def write_report(runs: Sequence[Run], out: Path) -> Path:
     groups = group_runs(runs)
     names = ", ".join(group.label for group in groups)
     page = Page(names if len(names) < MAX_TITLE else f"{len(groups)} groups of runs compared")
-    _overview(page, groups)
+    page.section("Runs")
+    page.table(OVERVIEW, [_description(group) for group in groups])
     _results(page, groups)
     _curves(page, groups)
     if (figure := charts.time_split(groups)) is not None:
@@ -47,22 +49,8 @@ def write_report(runs: Sequence[Run], out: Path) -> Path:
     return page.write(out)
 
 
-def _overview(page: Page, groups: Sequence[Group]) -> None:
-    page.section("Runs")
-    header = [
-        "run",
-        "arm",
-        "environment",
-        "algorithm",
-        "disturbance",
-        "seeds",
-        "steps",
-        "directory",
-    ]
-    page.table(header, [_description(group) for group in groups])
-
-
 def _description(group: Group) -> list[str]:
+    """Return a group's row for ``OVERVIEW``."""
     config, total = group.config, group.config["trainer"]["total_steps"]
     done = list(dict.fromkeys(run.env_steps for run in group.runs))
     several = len(group.runs) > 1
