@@ -46,11 +46,6 @@ class Job:
         return int(self.config["trainer"]["total_steps"])
 
     @property
-    def arguments(self) -> list[str]:
-        """The command after ``rrl``."""
-        return ["train", f"resume={self.path}"]
-
-    @property
     def finished(self) -> bool:
         """Whether the final evaluation of this configuration is there: it is written last."""
         saved = self.path / CONFIG_FILE

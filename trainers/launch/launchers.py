@@ -78,7 +78,7 @@ class LocalLauncher:
 
     def start(self, arguments: Sequence[str], log: Path) -> Handle:
         """Start a process."""
-        return _Process(spawn(arguments, log))
+        return spawn(arguments, log)
 
     def close(self) -> None:
         """Do nothing."""
@@ -117,14 +117,25 @@ class RayLauncher:
         self._ray.shutdown()
 
 
+class _Process(subprocess.Popen):
+    """A process as a :class:`Handle`."""
+
+    stop = subprocess.Popen.terminate
+
+    def kill(self) -> None:
+        """End it at once."""
+        super().kill()
+        self.wait()
+
+
 def spawn(
     arguments: Sequence[str], log: Path, cwd: str | None = None, path: Sequence[str] = ()
-) -> subprocess.Popen:
+) -> _Process:
     """Start ``rrl`` in a process with one thread, which saves and ends when this process does."""
     one = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
     found = {"PYTHONPATH": os.pathsep.join(p for p in path if p)} if path else {}
     with log.open("a", encoding="utf-8") as file:
-        return subprocess.Popen(
+        return _Process(
             [sys.executable, "-c", WORKER, str(os.getpid()), *arguments],
             stdin=subprocess.DEVNULL,
             stdout=file,
@@ -133,20 +144,6 @@ def spawn(
             env={**os.environ, **one, **found},
             start_new_session=True,
         )
-
-
-class _Process:
-    def __init__(self, process: subprocess.Popen) -> None:
-        self._process = process
-        self.poll = process.poll
-
-    def stop(self) -> None:
-        if self.poll() is None:
-            self._process.terminate()
-
-    def kill(self) -> None:
-        self._process.kill()
-        self._process.wait()
 
 
 class _Task:

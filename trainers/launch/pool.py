@@ -89,7 +89,7 @@ def run_jobs(
                 for job in _ready(waiting, ending, launcher.slots - len(running)):
                     waiting.remove(job)
                     job.prepare()
-                    running[launcher.start(job.arguments, job.log)] = job
+                    running[launcher.start(["train", f"resume={job.path}"], job.log)] = job
                     display.started(job)
                 display.refresh()
                 time.sleep(POLL_SECONDS)
