@@ -129,12 +129,12 @@ def _sensed(sizes: dict[str, int] | None, built: Mapping[str, Any]) -> dict[str,
 def _check_symmetries(
     env: Config, inputs: Mapping[str, Input], sizes: dict[str, int] | None
 ) -> Problems:
-    mirrors = env.get("symmetries") or {}
+    mirrors, known = env.get("symmetries") or {}, sizes or {}
     for name, maps in mirrors.items():
-        for key in set(maps) & set(sizes or ()):
-            if len(maps[key]) != (sizes or {})[key]:
-                path, count = f"env.symmetries.{name}.{key}", (sizes or {})[key]
-                yield f"{path}: expected {count} numbers, got {maps[key]}"
+        for key in set(maps) & set(known):
+            if len(maps[key]) != known[key]:
+                path = f"env.symmetries.{name}.{key}"
+                yield f"{path}: expected {known[key]} numbers, got {maps[key]}"
                 return
     history = env.get("action_history", 1)
     nothing: Any = None

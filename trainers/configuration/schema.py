@@ -100,28 +100,23 @@ class Schema(Checked):
 
     def _check(self) -> None:
         self.trainer.check_operator(bool(self.operator and self.operator.intervention))
-        _check_arm(self.arm, str(self.controller.get("_target_")), self.trainer.total_steps)
-
-
-def _check_arm(arm: str, controller: str, total_steps: int) -> None:
-    """Refuse what contradicts the name under which a run is reported."""
-    if arm == "controller" and total_steps:
-        raise ValueError(
-            "trainer.total_steps: expected 0 with arm=controller, which trains nothing, got "
-            f"{total_steps}; to train above the controller, choose arm=residual"
-        )
-    if arm == "rl" and controller.rpartition(".")[2] != ZeroController.__name__:
-        raise ValueError(
-            "controller: expected controller=zero with arm=rl, which learns without one, got "
-            f"{controller}; to train above it, choose arm=residual"
-        )
+        if self.arm == "controller" and self.trainer.total_steps:
+            raise ValueError(
+                "trainer.total_steps: expected 0 with arm=controller, which trains nothing, got "
+                f"{self.trainer.total_steps}; to train above the controller, choose arm=residual"
+            )
+        controller = str(self.controller.get("_target_"))
+        if self.arm == "rl" and controller.rpartition(".")[2] != ZeroController.__name__:
+            raise ValueError(
+                "controller: expected controller=zero with arm=rl, which learns without one, got "
+                f"{controller}; to train above it, choose arm=residual"
+            )
 
 
 def explain(error: ValidationError, prefix: str = "") -> list[str]:
     """Return Pydantic's findings, one line each."""
-    return [_line(prefix, e["loc"], in_words(e)) for e in error.errors()]
-
-
-def _line(prefix: str, where: tuple[int | str, ...], text: str) -> str:
-    path = ".".join(map(str, ([prefix] if prefix else []) + list(where)))
-    return f"{path}: {text}" if path else text
+    lines = []
+    for e in error.errors():
+        path = ".".join(map(str, [prefix, *e["loc"]] if prefix else e["loc"]))
+        lines.append(f"{path}: {in_words(e)}" if path else in_words(e))
+    return lines

@@ -32,18 +32,15 @@ def check_targets(config: Config, built: dict[str, Any]) -> Problems:
         ("algorithm.agent", algorithm["agent"], interface),
         ("algorithm.exploration", algorithm["exploration"], {"spec": spec}),
     ]
-    groups = {"disturbance": config.get("disturbance"), "safety": config.get("safety")}
-    groups |= {"operator": config.get("operator")}
+    groups = {name: config.get(name) for name in ("disturbance", "safety", "operator")}
     groups |= {"env.sensing": env.get("sensing"), "logger": config.get("logger")}
     for group, members in groups.items():
         nodes += [(f"{group}.{name}", n, {}) for name, n in (members or {}).items() if n]
     for path, node, given in nodes:
         yield from _check_build(path, node, given, built)
-    for path, overrides in {
-        "env.base": {},
-        **{f"env.scenarios.{name}": o or {} for name, o in env["scenarios"].items()},
-    }.items():
-        yield from _check_environment(path, {**env["base"], **overrides})
+    scenarios = {f"env.scenarios.{name}": node for name, node in env["scenarios"].items()}
+    for path, overrides in {"env.base": {}, **scenarios}.items():
+        yield from _check_environment(path, {**env["base"], **(overrides or {})})
     if env.get("renderer"):
         yield from _check_arguments("env.renderer", env["renderer"], 2)
 
