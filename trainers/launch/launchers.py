@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from rrl.threads import cores
 
@@ -27,57 +27,21 @@ WORKER = (
 puts the working directory first, where a project's files would hide packages of their names."""
 
 
-class Handle(Protocol):
-    """A run that was started."""
-
-    def poll(self) -> int | None:
-        """Return the exit status, None while it runs."""
-        ...
-
-    def stop(self) -> None:
-        """Ask it to save and end."""
-        ...
-
-    def kill(self) -> None:
-        """End it at once."""
-        ...
-
-
-class Launcher(Protocol):
-    """Starts ``rrl`` commands.
-
-    Attributes:
-        slots: How many run at a time.
-    """
-
-    slots: int
-
-    def start(self, arguments: Sequence[str], log: Path) -> Handle:
-        """Start ``rrl`` with these arguments; what it prints goes to ``log``."""
-        ...
-
-    def close(self) -> None:
-        """Release what the launcher holds."""
-        ...
-
-
-def make(name: str, workers: int | None) -> Launcher:
-    """Return the launcher ``local`` or ``ray``; ``workers`` as in the classes."""
-    return RayLauncher(workers) if name == "ray" else LocalLauncher(workers)
-
-
 class LocalLauncher:
     """A process for each run, with one thread; Ctrl-C in the terminal reaches none of them.
 
     Args:
         workers: How many at a time; None: as many as this process has cores.
+
+    Attributes:
+        slots: How many run at a time.
     """
 
     def __init__(self, workers: int | None = None) -> None:
         self.slots = workers or cores()
 
-    def start(self, arguments: Sequence[str], log: Path) -> Handle:
-        """Start a process."""
+    def start(self, arguments: Sequence[str], log: Path) -> Process:
+        """Start ``rrl`` with these arguments; what it prints goes to ``log``."""
         return spawn(arguments, log)
 
     def close(self) -> None:
@@ -91,6 +55,9 @@ class RayLauncher:
 
     Args:
         workers: How many at a time; None: as many as the cluster has cores.
+
+    Attributes:
+        slots: How many run at a time.
 
     Raises:
         ModuleNotFoundError: If Ray is not installed.
@@ -107,20 +74,31 @@ class RayLauncher:
         self.slots = workers or int(ray.cluster_resources().get("CPU", 1))
         self._task = ray.remote(num_cpus=1, max_retries=0)(_run)
 
-    def start(self, arguments: Sequence[str], log: Path) -> Handle:
-        """Submit a task."""
+    def start(self, arguments: Sequence[str], log: Path) -> Task:
+        """Submit a task that does as in :class:`LocalLauncher`."""
         task = self._task.remote(list(arguments), str(log), str(Path.cwd()), sys.path)
-        return _Task(self._ray, task)
+        return Task(self._ray, task)
 
     def close(self) -> None:
         """Disconnect; a cluster that was started here ends."""
         self._ray.shutdown()
 
 
-class _Process(subprocess.Popen):
-    """A process as a :class:`Handle`."""
+Launcher = LocalLauncher | RayLauncher
+"""Starts ``rrl`` commands."""
 
-    stop = subprocess.Popen.terminate
+
+def make(name: str, workers: int | None) -> Launcher:
+    """Return the launcher ``local`` or ``ray``; ``workers`` as in the classes."""
+    return RayLauncher(workers) if name == "ray" else LocalLauncher(workers)
+
+
+class Process(subprocess.Popen):
+    """A run in a process of this machine."""
+
+    def stop(self) -> None:
+        """Ask it to save and end."""
+        self.terminate()
 
     def kill(self) -> None:
         """End it at once."""
@@ -130,12 +108,12 @@ class _Process(subprocess.Popen):
 
 def spawn(
     arguments: Sequence[str], log: Path, cwd: str | None = None, path: Sequence[str] = ()
-) -> _Process:
+) -> Process:
     """Start ``rrl`` in a process with one thread, which saves and ends when this process does."""
     one = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
     found = {"PYTHONPATH": os.pathsep.join(p for p in path if p)} if path else {}
     with log.open("a", encoding="utf-8") as file:
-        return _Process(
+        return Process(
             [sys.executable, "-c", WORKER, str(os.getpid()), *arguments],
             stdin=subprocess.DEVNULL,
             stdout=file,
@@ -146,11 +124,14 @@ def spawn(
         )
 
 
-class _Task:
+class Task:
+    """A run in a Ray task, with the methods of :class:`Process` that the pool uses."""
+
     def __init__(self, ray: Any, reference: Any) -> None:
         self._ray, self._reference = ray, reference
 
     def poll(self) -> int | None:
+        """Return the exit status, None while it runs."""
         if not self._ray.wait([self._reference], timeout=0)[0]:
             return None
         try:
@@ -161,10 +142,16 @@ class _Task:
             return 1
 
     def stop(self) -> None:
+        """Ask it to save and end."""
         self._ray.cancel(self._reference, recursive=False)
 
     def kill(self) -> None:
+        """End it at once."""
         self._ray.cancel(self._reference, force=True)
+
+
+Handle = Process | Task
+"""A run that was started."""
 
 
 def _run(arguments: Sequence[str], log: str, cwd: str, path: Sequence[str]) -> int:

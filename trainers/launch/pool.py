@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 
 from ..configuration.checks import problems
 from ..console import Output
-from ..training.interruption import Interrupted, Interruption
+from ..training.interruption import Interruption
 from .display import Display
 from .job import Job
-from .launchers import GRACE_SECONDS, POLL_SECONDS, Handle, Launcher, make
+from .launchers import GRACE_SECONDS, POLL_SECONDS, Handle, make
 
-__all__ = ["Ending", "launch", "require_all", "run_jobs"]
+__all__ = ["Ending", "launch", "require_all"]
 
 
 @dataclass
@@ -59,29 +60,16 @@ def launch(
     if workers == 0:
         console.say(f"{len(jobs)} runs, {len(ending.done)} of them finished; none is run now")
         return ending
-    _check([job for job in jobs if job not in ending.done])
-    launcher = make(name, workers)
-    try:
-        return run_jobs(jobs, launcher, Display(console), ending, keep)
-    except Interrupted:
-        console.say(f"stopped; to go on:\n  {again}")
-        raise
-    finally:
-        launcher.close()
-
-
-def run_jobs(
-    jobs: Sequence[Job],
-    launcher: Launcher,
-    display: Display,
-    ending: Ending,
-    keep: Callable[[Job], None],
-) -> Ending:
-    """Run what is not in ``ending`` yet; see :func:`launch`."""
     waiting = [job for job in jobs if job not in ending.done]
+    _check(waiting)
     running: dict[Handle, Job] = {}
     interruption = Interruption("stopping the runs; each saves itself")
-    with interruption.listening(), display.showing(jobs, ending.done, launcher.slots):
+    display = Display(console)
+    with (
+        closing(make(name, workers)) as launcher,
+        interruption.listening(),
+        display.showing(jobs, ending.done, launcher.slots),
+    ):
         try:
             while (waiting or running) and interruption.signal is None:
                 _collect(running, ending, display, keep)
@@ -95,6 +83,8 @@ def run_jobs(
                 time.sleep(POLL_SECONDS)
         finally:
             _stop(running)
+    if interruption.signal is not None:
+        console.say(f"stopped; to go on:\n  {again}")
     interruption.check()
     return ending
 
