@@ -138,14 +138,11 @@ class Comparison:
 
     def record(self) -> dict[str, dict[str, Any]]:
         """Return what ``results.json`` holds of a scenario: the summary, and every episode."""
-        parts = {CONTROLLER: self.controller, ACCEPTED: self.accepted}
-        others = {
-            f"{prefix}{name}": values
-            for prefix, episodes in parts.items()
-            if episodes is not None
-            for name, values in episodes.values().items()
-        }
-        return {"summary": self.summary(), "episodes": self.residual.values() | others}
+        episodes = self.residual.values()
+        for prefix, played in ((CONTROLLER, self.controller), (ACCEPTED, self.accepted)):
+            if played is not None:
+                episodes |= {prefix + name: values for name, values in played.values().items()}
+        return {"summary": self.summary(), "episodes": episodes}
 
     def _change(self) -> dict[str, float]:
         """The policy against the controller: paired, or as independent samples."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -77,22 +77,18 @@ def _sweep(experiment: Experiment, finding: Finding) -> Figure:
         for arm, found in arms.items():
             marker = MARKERS[finding.arms.index(arm) % len(MARKERS)]
             _errors(axis, found, entry, arm, color=colors[arm], marker=marker)
-        for name, (arm, *_) in controllers(_levels(arms, CONTROLLER + entry)).items():
+        levels = {  # what the controllers came to at every setting
+            arm: tuple(float(outcome.final(CONTROLLER + entry)[0]) for outcome in found)
+            for arm, found in arms.items()
+            if not found[0].acts_alone
+        }
+        for name, (arm, *_) in controllers(levels).items():
             color = CONTROLLER_COLOR if name == ALONE else colors[arm]
             look = {"color": color, "marker": "s", "linestyle": "--"}
             _errors(axis, arms[arm], CONTROLLER + entry, name, **look)
         axis.set_xlabel(experiment.sweep.label)
         axis.set_ylabel(f"final {axis.get_ylabel()}")
     return figure
-
-
-def _levels(arms: Mapping[str, Sequence[Outcome]], entry: str) -> dict[str, tuple[float, ...]]:
-    """What the controller came to at every setting, by arm."""
-    having = {arm: found for arm, found in arms.items() if not found[0].acts_alone}
-    return {
-        arm: tuple(float(outcome.final(entry)[0]) for outcome in found)
-        for arm, found in having.items()
-    }
 
 
 def _spread(experiment: Experiment, finding: Finding) -> Figure:
@@ -106,13 +102,8 @@ def _spread(experiment: Experiment, finding: Finding) -> Figure:
         low, high = np.array([mean_interval(column) for column in values.T]).T
         mean = values.mean(axis=0)
         error = np.nan_to_num([mean - np.maximum(low, 0.0), high - mean])
-        look: dict[str, Any] = {
-            "capsize": 3,
-            "color": COLORS[i % len(COLORS)],
-            "alpha": 0.75,
-            "label": outcome.point.label,
-        }
-        axis.bar(at, mean, 0.9 * width, yerr=error, **look)
+        look: dict[str, Any] = {"capsize": 3, "color": COLORS[i % len(COLORS)], "alpha": 0.75}
+        axis.bar(at, mean, 0.9 * width, yerr=error, label=outcome.point.label, **look)
         for row in values:
             axis.plot(at, row, ".", color="black", ms=4, alpha=0.6)
     axis.set_xticks(range(4), ["x", "y", "z", "sum"])
@@ -134,10 +125,9 @@ def _table(experiment: Experiment, finding: Finding) -> Figure:
     table.auto_set_column_width(range(len(header)))
     table.scale(1, 1.6)
     first = finding.outcomes[0]
-    text = (
-        f"{len(first.runs)} seeds, the same {first.episodes} episodes for each and the controller"
-    )
-    figure.suptitle(f"{experiment.heading}\n{text}", fontsize=10)
+    text = f"{experiment.heading}\n{len(first.runs)} seeds, "
+    text += f"the same {first.episodes} episodes for each and the controller"
+    figure.suptitle(text, fontsize=10)
     return figure
 
 
