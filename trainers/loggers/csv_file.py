@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import io
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TextIO
 
+from ..storage.files import write_atomically
 from ..storage.run_files import METRICS
 from .base import MetricsLogger
 from .metrics import STEP_AXIS, Values
@@ -25,14 +27,9 @@ class CSVLogger(MetricsLogger):
         """Open the file; a resumed run keeps the rows up to ``env_steps``."""
         path = run_dir / METRICS
         rows = [row for row in _rows_of(path) if row[0] <= env_steps] if env_steps else []
-        partial = path.with_suffix(".partial")
-        with partial.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow([STEP_AXIS, "metric", "value"])
-            writer.writerows(rows)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
+        kept = io.StringIO()
+        csv.writer(kept).writerows([(STEP_AXIS, "metric", "value"), *rows])
+        write_atomically(path, kept.getvalue())
         self.file: TextIO = path.open("a", newline="", encoding="utf-8")
         self.writer = csv.writer(self.file)
 
