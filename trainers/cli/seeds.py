@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import yaml
-
 from ..configuration import build as assembly
 from ..configuration.schema import Schema
 from ..console import Output, from_here
-from ..launch.job import Job, one_seed
+from ..launch.job import Job, one_seed, write_config
 from ..launch.pool import launch, require_all
 from ..report.learning_curve import learning_curve
 from ..report.report import write_report
@@ -53,8 +51,7 @@ def train_seeds(config: assembly.Config, run_dir: Path, console: Output, *, resu
         for job in jobs:
             if job.path in present:
                 require_same_run(saved_note(job.path).get("config") or job.config, job.config)
-        text = yaml.safe_dump(dict(config), sort_keys=False)
-        write_atomically(run_dir / CONFIG_FILE, text)
+        write_config(config, run_dir)
         console.say(f"training {count} seeds in {run_dir}")
         how = Schema.model_validate(config)
         again = from_here("rrl", "train", f"resume={run_dir}")

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import yaml
-
 from ..configuration import build as assembly
 from ..console import Output, from_here
 from ..evaluation.episodes import write_results
+from ..launch.job import write_config
 from ..pretrained import start_from
 from ..report.learning_curve import learning_curve
 from ..report.notes import Results
@@ -36,8 +35,7 @@ from .seeds import train_seeds
 
 __all__ = ["train"]
 
-VIDEO, VIDEO_FILES = "video", (".mp4", ".gif")
-MEDIA = (".png", *VIDEO_FILES)
+MEDIA = (".png", ".mp4", ".gif")
 
 
 def train(config: assembly.Config, run_dir: Path, console: Output, *, resume: bool) -> None:
@@ -80,7 +78,7 @@ def _train(config: assembly.Config, trainer: Trainer, console: Output) -> None:
     run_dir = trainer.run_dir
     if trainer.env_steps < trainer.settings.total_steps:
         (run_dir / RESULTS).unlink(missing_ok=True)  # it marks a finished run
-    write_atomically(run_dir / CONFIG_FILE, yaml.safe_dump(dict(config), sort_keys=False))
+    write_config(config, run_dir)
     write_versions(run_dir, config["env"].get("packages") or ())
     results = trainer.run()
     if trainer.settings.profile:
@@ -108,7 +106,7 @@ def _log_results(trainer: Trainer, results: Results, media: Sequence[Path]) -> N
     steps = trainer.env_steps
     for logger in trainer.loggers:
         for path in media:
-            name = VIDEO if path.suffix in VIDEO_FILES else path.stem
+            name = path.stem if path.suffix == ".png" else "video"
             logger.log_file(f"media/{name}", path, steps)
         logger.log_table("results/success", COLUMNS, success_rows(results), steps)
         logger.log_table("results/episodes", EPISODE_COLUMNS, episode_rows(results), steps)

@@ -13,7 +13,7 @@ from ..storage.files import write_atomically
 from ..storage.run_files import CONFIG_FILE, LOG, RESULTS
 from ..storage.same_run import measured_settings
 
-__all__ = ["Job", "one_seed"]
+__all__ = ["Job", "one_seed", "write_config"]
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,7 @@ class Job:
         """Write the configuration, for a process that starts or resumes the run."""
         self.path.mkdir(parents=True, exist_ok=True)
         (self.path / RESULTS).unlink(missing_ok=True)
-        text = yaml.safe_dump(dict(self.config), sort_keys=False)
-        write_atomically(self.path / CONFIG_FILE, text)
+        write_config(self.config, self.path)
 
     def log_tail(self, lines: int = 15) -> str:
         """Return the end of the run's log."""
@@ -68,6 +67,11 @@ class Job:
         except OSError as error:
             return str(error)
         return "\n".join(text.splitlines()[-lines:])
+
+
+def write_config(config: Mapping[str, Any], run_dir: Path) -> None:
+    """Write a run's resolved configuration, all or nothing."""
+    write_atomically(run_dir / CONFIG_FILE, yaml.safe_dump(dict(config), sort_keys=False))
 
 
 def one_seed(config: Mapping[str, Any], seed: int) -> dict[str, Any]:
