@@ -135,13 +135,10 @@ def gain(records: Sequence[Record]) -> tuple[float, Interval]:
     """
     entry, values, alone = _compared(records)
     bound = 1.0 if entry == "success" else None
-    frozen = all(map(is_frozen, records))
-    interval = (
-        paired_interval(values - alone, bound)
-        if frozen
-        else unpaired_interval(values, alone, bound)
-    )
-    return float(values.mean() - alone.mean()), interval
+    difference = float(values.mean() - alone.mean())
+    if all(map(is_frozen, records)):
+        return difference, paired_interval(values - alone, bound)
+    return difference, unpaired_interval(values, alone, bound)
 
 
 def _compared(records: Sequence[Record]) -> tuple[str, Floats, Floats]:
