@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import keyword
-from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from importlib.resources.abc import Traversable  # Python 3.11
-
+TEMPLATE = Path(__file__).parent / "template"
 PLACEHOLDER = "__project__"
 """Stands for the project's name in the template's file names and texts."""
 SUFFIX = ".template"
@@ -43,19 +39,12 @@ def create(name: str, folder: Path) -> list[Path]:
         raise FileExistsError(f"{target} exists already: choose another name")
     if find_spec(name) is not None:
         raise ValueError(f"name: expected one that no package has, got {name!r}; choose another")
-    return sorted(_copy(files(__package__) / "template", target, name))
-
-
-def _copy(source: Traversable, target: Path, name: str) -> list[Path]:
-    if source.is_file():
-        target.parent.mkdir(parents=True, exist_ok=True)
-        path = target.with_name(target.name.removesuffix(SUFFIX))
-        path.write_text(
-            source.read_text(encoding="utf-8").replace(PLACEHOLDER, name), encoding="utf-8"
-        )
-        return [path]
-    return [
-        p
-        for child in source.iterdir()
-        for p in _copy(child, target / child.name.replace(PLACEHOLDER, name), name)
-    ]
+    written = []
+    for source in (path for path in TEMPLATE.rglob("*") if path.is_file()):
+        relative = str(source.relative_to(TEMPLATE)).replace(PLACEHOLDER, name)
+        path = target / relative.removesuffix(SUFFIX)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        text = source.read_text(encoding="utf-8").replace(PLACEHOLDER, name)
+        path.write_text(text, encoding="utf-8")
+        written.append(path)
+    return sorted(written)
