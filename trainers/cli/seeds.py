@@ -13,7 +13,7 @@ from ..launch.pool import launch, require_all
 from ..report.learning_curve import learning_curve
 from ..report.report import write_report
 from ..report.runs import Group, Run, find_runs
-from ..report.tables import handed_over, markdown_tables, terminal_tables
+from ..report.tables import markdown_tables, most_rescued, terminal_tables
 from ..storage.checkpoints import saved_note
 from ..storage.files import claimed, write_atomically
 from ..storage.run_files import CHECKPOINTS, CONFIG_FILE, REPORT, seed_directories
@@ -71,10 +71,7 @@ def _show(config: assembly.Config, runs: Sequence[Run], run_dir: Path, console: 
     curve = learning_curve(group, run_dir / "learning_curve.png")
     written += [curve] if curve else []
     if config["render"]["enabled"]:
-        most = max(
-            runs,
-            key=lambda run: handed_over(run.results[run.followed])["summary"].get("rescues", 0.0),
-        )
+        most, _ = most_rescued(runs)
         of_it = {**most.config, "render": config["render"]}
         with only_said(console):
             written += film_run(of_it, most.path, run_dir, console)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from ..console import Output
 from ..launch.launchers import spawn
 from ..report.runs import Run
-from ..report.tables import handed_over, rescued
+from ..report.tables import most_rescued
 from ..storage.run_files import CHECKPOINTS
 from .outcomes import Finding, Findings
 
@@ -32,7 +31,7 @@ def rescue_video(findings: Findings, console: Output) -> Path | None:
         for run in outcome.runs
         if run.config["env"].get("renderer")
     ]
-    run, episodes = _most_rescued(runs) if runs else (None, [])
+    run, episodes = most_rescued(runs) if runs else (None, [])
     return _rendered(run, episodes[0], console) if run and episodes else None
 
 
@@ -41,19 +40,12 @@ def task_videos(finding: Finding, console: Output) -> list[Video]:
     videos = []
     for outcome in finding.outcomes:
         if outcome.point.config["env"].get("renderer"):
-            run, episodes = _most_rescued(outcome.runs)
+            run, episodes = most_rescued(outcome.runs)
             episode = next(iter(episodes), 0)
             if video := _rendered(run, episode, console):
                 caption = f"{outcome.point.label}: seed {run.seed}, episode {episode}."
                 videos.append((video, caption))
     return videos
-
-
-def _most_rescued(runs: Sequence[Run]) -> tuple[Run, list[int]]:
-    """Return the run that rescues the most final episodes, and these."""
-    found = {run: rescued(handed_over(run.results[run.followed])) for run in runs}
-    run = max(found, key=lambda run: len(found[run]))
-    return run, found[run]
 
 
 def _rendered(run: Run, episode: int, console: Output) -> Path | None:

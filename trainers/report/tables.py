@@ -26,7 +26,7 @@ from .curves import Floats
 from .markdown import markdown_table
 from .notes import Results, is_frozen, notes
 from .panels import Declared, quantity_title
-from .runs import Record
+from .runs import Record, Run
 
 if TYPE_CHECKING:  # without torch a report of finished runs is quick
     from ..evaluation.episodes import Comparison
@@ -38,6 +38,7 @@ __all__ = [
     "gain",
     "handed_over",
     "markdown_tables",
+    "most_rescued",
     "one_run",
     "quantity_rows",
     "rescued",
@@ -88,6 +89,13 @@ def rescued(record: Record) -> list[int]:
     pairs = zip(episodes.get("controller_success", ()), episodes.get("success", ()), strict=True)
     found = [i for i, (alone, helped) in enumerate(pairs) if helped and not alone]
     return found if is_frozen(record) else []
+
+
+def most_rescued(runs: Sequence[Run]) -> tuple[Run, list[int]]:
+    """Return the run that rescues the most final episodes of the followed scenario, and these."""
+    found = {run: rescued(handed_over(run.results[run.followed])) for run in runs}
+    run = max(found, key=lambda run: len(found[run]))
+    return run, found[run]
 
 
 def success_rows(results: Results) -> list[list[str]]:
