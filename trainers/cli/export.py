@@ -34,15 +34,13 @@ def export(config: assembly.Config, run_dir: Path, console: Output) -> None:
 
 def _about(config: assembly.Config, run: Path, trained: TrainedRun) -> dict[str, Any]:
     """Return where a policy was trained and how well it did."""
-    results = _read(run / RESULTS) or {}
+    results, handed_over = _read(run / RESULTS) or {}, trained.handed_over
     return {
         "trained": {
             "name": config["name"],
             "run": str(run),
             "checkpoint": trained.checkpoint and trained.checkpoint.name,
-            "accepted_env_steps": trained.handed_over.env_steps
-            if trained.handed_over.tested
-            else None,
+            "accepted_env_steps": handed_over.env_steps if handed_over.tested else None,
             "environment": config["env"]["base"],
             "algorithm": config["algorithm"]["agent"],
             "seed": config["trainer"]["seed"],
@@ -65,13 +63,9 @@ def _summary(content: dict[str, Any]) -> list[str]:
         f"reads {_arrays(content['entries'])} at {rate}; commands {_arrays([content['command']])}",
         f"remembers {_arrays(content['state']) or 'nothing'}",
     ]
-    inside = controller["why_outside"] is None
-    lines.append(
-        f"the controller {controller['class']} is inside"
-        if inside
-        else f"the controller {controller['class']} stays outside, and base_action is an entry: "
-        f"{controller['why_outside']}"
-    )
+    outside = f"stays outside, and base_action is an entry: {controller['why_outside']}"
+    where = "is inside" if controller["why_outside"] is None else outside
+    lines.append(f"the controller {controller['class']} {where}")
     simulated = [node["class"] for group in content["left_out"].values() for node in group]
     lines += [f"left out, because a robot has its own: {', '.join(simulated)}"] if simulated else []
     rehearsal = content["rehearsal"]
