@@ -10,6 +10,7 @@ from typing import Any
 from rrl.keys import METRICS
 
 from ..evaluation.entries import ACCEPTED, CONTROLLER
+from ..metric_names import P99
 from ..report.runs import Run
 from .outcomes import Finding, Outcome
 from .spec import Experiment
@@ -19,12 +20,17 @@ __all__ = ["COLUMNS", "write_numbers"]
 
 POLICIES = {"controller": CONTROLLER, "latest": "", "handed_over": ACCEPTED}
 """Column's beginning to that of an entry."""
-ENTRIES = ("success", "return")
+ENTRIES = {
+    f"{policy}_{entry}": prefix + entry
+    for entry in ("success", "return")
+    for policy, prefix in POLICIES.items()
+}
+"""Every column of a policy, and the entry that it holds."""
 CHANGES = ("rescues", "regressions", f"{ACCEPTED}rescues", f"{ACCEPTED}regressions")
 AXES = ("x", "y", "z")
 COLUMNS = (
     *("arm", "setting", "key", "seed", "env_steps", "evaluation", "scenario", "episodes"),
-    *(f"{policy}_{entry}" for entry in ENTRIES for policy in POLICIES),
+    *ENTRIES,
     *CHANGES,
     *(f"position_variance_{axis}_cm2" for axis in AXES),
     *("wall_time_s", "versions"),
@@ -41,8 +47,8 @@ Row = Mapping[str, Any]
 def write_numbers(experiment: Experiment, finding: Finding, path: Path) -> Path:
     """Write the file ``path`` with :data:`COLUMNS` and return it."""
     with path.open("w", newline="", encoding="utf-8") as file:
-        more = [column for column, _ in _metric(experiment)]
-        writer = csv.DictWriter(file, [*COLUMNS, *more], lineterminator="\n")
+        columns = [*COLUMNS, *_metric(experiment)]
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
         writer.writeheader()
         for outcome in finding.outcomes:
             point = outcome.point
@@ -56,7 +62,7 @@ def write_numbers(experiment: Experiment, finding: Finding, path: Path) -> Path:
 
 def _training(run: Run) -> Iterator[Row]:
     """The evaluations while the run learned."""
-    columns = {column: dict(run.evaluations(entry)) for column, entry in _entries()}
+    columns = {column: dict(run.evaluations(entry)) for column, entry in ENTRIES.items()}
     episodes = run.config["trainer"]["evaluation"]["episodes"]
     common = {"evaluation": "training", "scenario": run.followed, "episodes": episodes}
     for step in sorted({step for values in columns.values() for step in values}):
@@ -75,22 +81,17 @@ def _final(experiment: Experiment, outcome: Outcome, run: Run) -> Iterator[Row]:
     common = {"env_steps": total, "evaluation": "final", "episodes": outcome.episodes}
     for scenario in outcome.scenarios:
         summary = run.summary(scenario)
-        entries = (*_entries(), *_metric(experiment))
-        found = {column: summary[entry] for column, entry in entries if entry in summary}
+        entries = ENTRIES | _metric(experiment)
+        found = {column: summary[entry] for column, entry in entries.items() if entry in summary}
         found |= {entry: summary[entry] for entry in CHANGES if entry in summary}
         yield {**common, "scenario": scenario, **found, **more}
 
 
-def _entries() -> Iterator[tuple[str, str]]:
-    """Every column of a policy, and the entry that it holds."""
-    for entry in ENTRIES:
-        for policy, prefix in POLICIES.items():
-            yield f"{policy}_{entry}", prefix + entry
-
-
-def _metric(experiment: Experiment) -> Iterator[tuple[str, str]]:
+def _metric(experiment: Experiment) -> dict[str, str]:
     """The columns of what success is drawn against, and their entries."""
-    for end in ("", "_p99") if experiment.metric else ():
-        for policy, prefix in POLICIES.items():
-            name = f"{experiment.metric}{end}"
-            yield f"{policy}_{name}", f"{prefix}{METRICS}/{name}"
+    names = [f"{experiment.metric}{end}" for end in ("", P99)] if experiment.metric else []
+    return {
+        f"{policy}_{name}": f"{prefix}{METRICS}/{name}"
+        for name in names
+        for policy, prefix in POLICIES.items()
+    }

@@ -152,17 +152,10 @@ def _points_of(
                 f"{experiment.name}: expected sources of {sorted(sources)}, got {unknown[0]!r}"
             )
         config, used = compose(overrides), {name: sources[name] for name in names}
-        followed = shown and experiment.figure in ("curves", "tasks")
-        if followed and not config["trainer"]["evaluation"]["every"]:
-            raise ValueError(
-                f"{experiment.name}: expected trainer.evaluation.every above 0 for curves, got 0"
-            )
-        _check_steps(experiment, config["trainer"])
-        _check_metric(experiment, config["env"])
+        _check(experiment, config, shown)
         key, seeds = _key(config, used), tuple(range(settings.seeds_of(experiment)))
-        swept = sweep.name if sweep else ""
         asked = arm, value, key, overrides, config, seeds, used, shown
-        made = Point(experiment.name, *asked, swept=swept)
+        made = Point(experiment.name, *asked, swept=sweep.name if sweep else "")
         return replace(made, home=homes.setdefault(key, made.name))
 
     sources: dict[str, Point] = {}
@@ -175,18 +168,20 @@ def _points_of(
     return [*sources.values(), *arms]
 
 
-def _check_steps(experiment: Experiment, trainer: Mapping[str, Any]) -> None:
+def _check(experiment: Experiment, config: Mapping[str, Any], shown: bool) -> None:
+    """Refuse runs that do not log what the experiment shows of them."""
+    trainer, known = config["trainer"], config["env"].get("metrics") or {}
     every, total = trainer["evaluation"]["every"], trainer["total_steps"]
+    if shown and experiment.figure in ("curves", "tasks") and not every:
+        raise ValueError(
+            f"{experiment.name}: expected trainer.evaluation.every above 0 for curves, got 0"
+        )
     for at in experiment.evaluated_at:
         if not every or at % every or at > total:
             raise ValueError(
                 f"{experiment.name}.evaluated_at: expected multiples of trainer.evaluation.every "
                 f"({every}) up to trainer.total_steps ({total}), got {at}"
             )
-
-
-def _check_metric(experiment: Experiment, env: Mapping[str, Any]) -> None:
-    known = env.get("metrics") or {}
     if experiment.metric is not None and experiment.metric not in known:
         choices = ", ".join(sorted(known)) or "none"
         raise ValueError(
