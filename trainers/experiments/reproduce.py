@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import nullcontext
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -87,15 +86,14 @@ def _run(jobs: Sequence[Job], settings: Settings, console: Output, again: str) -
     data.mkdir(parents=True, exist_ok=True)
     taken = take(jobs, data)
     console.say(f"{len(taken)} runs are taken from {data}, without what they learned")
-    return launch(*arguments, partial(_keep, data=data, console=console))
 
+    def kept(job: Job) -> None:
+        try:
+            keep(job, data)
+        except (OSError, ValueError, KeyError) as error:  # the others go on; the store has the run
+            console.say(f"{job.name} is not kept in {data}: {error!r}", style="yellow")
 
-def _keep(job: Job, data: Path, console: Output) -> None:
-    """Keep a run; where that fails the others go on, and the store has the run."""
-    try:
-        keep(job, data)
-    except (OSError, ValueError, KeyError) as error:
-        console.say(f"{job.name} is not kept in {data}: {error!r}", style="yellow")
+    return launch(*arguments, kept)
 
 
 def _show(
