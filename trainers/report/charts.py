@@ -79,8 +79,7 @@ def _styled(figure: go.Figure, height: int) -> go.Figure:
 
 
 def _traces(groups: Sequence[Group], panel: Panel) -> list[go.Scatter]:
-    found = [(k, group, group.curve(panel.metric)) for k, group in enumerate(groups)]
-    lines = [(k, group, curve) for k, group, curve in found if curve]
+    lines = [(k, g, curve) for k, g in enumerate(groups) if (curve := g.curve(panel.metric))]
     end = max(curve.steps[-1] for _, _, curve in lines)
     traces = []
     for k, group, curve in lines:
