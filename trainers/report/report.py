@@ -19,6 +19,25 @@ from .runs import Group, Record, Run, group_runs
 __all__ = ["write_report"]
 
 OVERVIEW = ("run", "arm", "environment", "algorithm", "disturbance", "seeds", "steps", "directory")
+CAPTIONS = {
+    "Learning": "Followed episodes during training, scenario {followed}. Thick lines are means "
+    "over runs, thin lines runs. Bands are 95 % intervals: of success over runs and episodes, "
+    "otherwise Student's t over runs.",
+    "Rescues and regressions": "Share of the followed episodes, paired with the controller alone.",
+    "Acceptance": "The tests of candidates: pairs of episodes played, evidence (at 1 the policy is "
+    "accepted), and what is left of the error that the run allows.",
+    "Controller and residual": "While exploring: how the two share the executed action.",
+    "Quantities": "What the environment reports of the followed episodes, scenario {followed}.",
+    "Experience": "What the exploring policy meets, per collection.",
+    "Real time": "Collection in wall-clock time, per collection: errors of the control period, "
+    "time of inference, steps without an answer in time, faults, the acting policy's age in steps.",
+    "Interventions": "Share of the training steps that an operator has taken over.",
+    "Losses": "Means over the updates of a round.",
+    "Budgets": "What using up a budget once costs, in the units of the critics' values, and what "
+    "the exploring policy's episodes came to.",
+    "Safety limits": "Steps in which a limit changed the action, or something read was not finite.",
+}
+"""What is said of each section with curves."""
 MAX_TITLE = 80
 MAX_VIDEO_BYTES = 20_000_000
 """A page with more videos could not be mailed; the rest stay in the run's directory."""
@@ -112,20 +131,21 @@ def _meaningful(group: Group, cells: Sequence[str], records: Sequence[Record]) -
 
 
 def _curves(page: Page, groups: Sequence[Group]) -> None:
+    followed = ", ".join(dict.fromkeys(group.followed for group in groups))
     missing = []
-    for title, shown, caption in _sections(groups):
+    for title, shown in _sections(groups).items():
         figure = charts.curves(groups, shown)
         if figure is None:
             missing.append(title.lower())
             continue
         page.section(title)
-        page.chart(figure, caption)
+        page.chart(figure, CAPTIONS[title].format(followed=followed))
     if missing:
         page.text(f"Nothing was logged for: {', '.join(missing)}.")
 
 
-def _sections(groups: Sequence[Group]) -> tuple[tuple[str, Sequence[Panel], str], ...]:
-    """Return title, panels and caption of every section with curves."""
+def _sections(groups: Sequence[Group]) -> dict[str, Sequence[Panel]]:
+    """Return the panels of every section with curves."""
 
     def names_of(group: str) -> list[str]:
         names = dict.fromkeys(n for g in groups for n in g.metrics_of(group))
@@ -134,68 +154,22 @@ def _sections(groups: Sequence[Group]) -> tuple[tuple[str, Sequence[Panel], str]
     def panels_of(group: str) -> list[Panel]:
         return panels.logged(names_of(group))
 
-    followed = ", ".join(dict.fromkeys(group.followed for group in groups))
     entries = dict.fromkeys(n for g in groups for n in g.metrics_of(metrics.EVALUATION, g.followed))
     declared = panels.agreed(group.declared for group in groups)
     limits = dict.fromkeys(n for g in groups for n in g.metrics_of(metrics.SAFETY))
-    return (
-        (
-            "Learning",
-            panels.LEARNING,
-            f"Followed episodes during training, scenario {followed}. Thick lines are means over "
-            "runs, thin lines runs. Bands are 95 % intervals: of success over runs and episodes, "
-            "otherwise Student's t over runs.",
-        ),
-        (
-            "Rescues and regressions",
-            panels.CHANGES,
-            "Share of the followed episodes, paired with the controller alone.",
-        ),
-        (
-            "Acceptance",
-            panels_of(metrics.ACCEPTANCE),
-            "The tests of candidates: pairs of episodes played, evidence (at 1 the policy is "
-            "accepted), and what is left of the error that the run allows.",
-        ),
-        (
-            "Controller and residual",
-            panels.SHARES,
-            "While exploring: how the two share the executed action.",
-        ),
-        (
-            "Quantities",
-            [*panels.quantities(entries, declared), panels.LENGTH],
-            f"What the environment reports of the followed episodes, scenario {followed}.",
-        ),
-        (
-            "Experience",
-            panels_of(metrics.TRAIN),
-            "What the exploring policy meets, per collection.",
-        ),
-        (
-            "Real time",
-            panels_of(metrics.REALTIME),
-            "Collection in wall-clock time, per collection: errors of the control period, time of "
-            "inference, steps without an answer in time, faults, the acting policy's age in steps.",
-        ),
-        (
-            "Interventions",
-            panels_of(metrics.INTERVENTION),
-            "Share of the training steps that an operator has taken over.",
-        ),
-        ("Losses", panels_of(metrics.LOSS), "Means over the updates of a round."),
-        (
-            "Budgets",
-            panels.budgets(names_of(metrics.CONSTRAINT), declared),
-            "What using up a budget once costs, in the units of the critics' values, and what the "
-            "exploring policy's episodes came to.",
-        ),
-        (
-            "Safety limits",
-            panels.safety(limits),
-            "Steps in which a limit changed the action, or something read was not finite.",
-        ),
-    )
+    return {
+        "Learning": panels.LEARNING,
+        "Rescues and regressions": panels.CHANGES,
+        "Acceptance": panels_of(metrics.ACCEPTANCE),
+        "Controller and residual": panels.SHARES,
+        "Quantities": [*panels.quantities(entries, declared), panels.LENGTH],
+        "Experience": panels_of(metrics.TRAIN),
+        "Real time": panels_of(metrics.REALTIME),
+        "Interventions": panels_of(metrics.INTERVENTION),
+        "Losses": panels_of(metrics.LOSS),
+        "Budgets": panels.budgets(names_of(metrics.CONSTRAINT), declared),
+        "Safety limits": panels.safety(limits),
+    }
 
 
 def _videos(page: Page, groups: Sequence[Group]) -> None:
