@@ -41,7 +41,9 @@ def make_run(
         comparison = compared(episodes(step // 60 + seed, 30.0 + seed), episodes(4, 20.0))
         logger.log({f"eval/misaligned/{k}": v for k, v in comparison.summary().items()}, step)
         logger.log({"loss/loss_critic": 1.0 / (1 + step), "safety/step": 0.1}, step)
-        logger.log({"action/residual_share": 0.4, "time/update": 2.0}, step)
+        logger.log({"action/residual_share": 0.4}, step)
+        seconds = {"collect": 1.0, "collect/physics": 0.5, "update": 2.0, "sample": 0.3}
+        logger.log({f"time/{part}": value for part, value in seconds.items()}, step)
     logger.finish()
     if finished:
         write_results({"misaligned": comparison, "aligned": comparison}, folder / "results.json")

@@ -65,7 +65,8 @@ def front_rows(experiment: Experiment, finding: Finding) -> Table:
     Success has its interval over seeds; of the metric the range over seeds stands beside the mean.
     """
     quantity, first = f"{METRICS}/{experiment.metric}", finding.outcomes[0]
-    shown = [e for e in (quantity, quantity + P99, quantity + ABOVE["limit"]) if first.knows(e)]
+    entries = (quantity, quantity + P99, quantity + ABOVE["limit"])
+    shown = [e for e in entries if all(outcome.knows(e) for outcome in finding.outcomes)]
     declared = _declared(experiment, finding)
     titles = [quantity_title(e, declared) for e in shown]
     reached = first.measured_by

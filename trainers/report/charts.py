@@ -49,8 +49,12 @@ def curves(groups: Sequence[Group], panels: Sequence[Panel]) -> go.Figure | None
 
 
 def time_split(groups: Sequence[Group]) -> go.Figure | None:
-    """Draw the seconds of each part of the loop, mean of the runs; None if none was logged."""
-    parts = list(dict.fromkeys(name for group in groups for name in group.metrics_of(metrics.TIME)))
+    """Draw the seconds of each part of the loop, mean of the runs; None if none was logged.
+
+    The parts follow one another, so that a bar is as long as the runs took.
+    """
+    logged = {name for group in groups for name in group.metrics_of(metrics.TIME)}
+    parts = [name for name in metrics.WHOLE_SECTIONS if name in logged]
     if not parts:
         return None
     labels = [group.label for group in groups]

@@ -125,6 +125,12 @@ def test_a_front_shows_whose_controller_is_whose(outcome, tmp_path):
     assert "force above the limit 5 N [%]" in header
     header, _ = front_rows(experiment, finding(arms[0], pressing(outcome, "other", 1.0, 7.0)))
     assert "force above its limit [%]" in header
+    without = outcome("no limit", **{"metrics/force": 3.0, "metrics/force_p99": 4.0})
+    without.point.config["controller"] = ZERO
+    without.point.config["env"]["metrics"] = {"force": {"unit": "N"}}
+    header, rows = front_rows(experiment, finding(arms[0], without))
+    assert not any("limit" in title for title in header)
+    assert {len(row) for row in rows} == {len(header)}
 
 
 def test_rows_of_a_sweep_name_the_setting(outcome):

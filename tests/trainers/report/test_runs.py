@@ -6,7 +6,8 @@ import sys
 import pytest
 import yaml
 
-from logged_runs import EPISODES, edit, make_run
+from logged_runs import EPISODES, STEPS, edit, make_run
+from rrl.trainers.report.charts import time_split
 from rrl.trainers.report.report import write_report
 from rrl.trainers.report.runs import find_runs, group_runs
 
@@ -60,6 +61,15 @@ def test_runs_are_read_without_torch(runs):
     program += "assert 'torch' not in sys.modules"
     command = [sys.executable, "-c", program, str(runs[0])]
     assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "1000\n"
+
+
+def test_the_parts_of_a_bar_add_up_to_the_time_of_a_run(runs):
+    """Whatever else is measured within the parts of the loop."""
+    figure = time_split(group_runs(find_runs(runs)))
+    assert [bar.name for bar in figure.data] == ["collect", "update"]
+    assert {sum(seconds) for seconds in zip(*(bar.x for bar in figure.data), strict=True)} == {
+        3.0 * len(STEPS)
+    }
 
 
 def test_runs_of_one_name_are_told_apart_by_their_directories(tmp_path):
