@@ -73,18 +73,18 @@ def export_policy(
     stage.mkdir(parents=True)
     try:
         content = _write(env.base_env, environment, policy, stage)
+        content |= {"versions": versions() | tools, **plain(about or {})}
+        content["files"] = {
+            name: {"bytes": (stage / name).stat().st_size, "sha256": fingerprint(stage / name)}
+            for name in (MODEL, ARCHIVE)
+        }
+        sealed = {"sha256": digest(content), "content": content}
+        (stage / CONTRACT).write_text(json.dumps(sealed, indent=1) + "\n", encoding="utf-8")
     except Exception:
         shutil.rmtree(stage)
         raise
     finally:
         env.close()
-    content |= {"versions": versions() | tools, **plain(about or {})}
-    content["files"] = {
-        name: {"bytes": (stage / name).stat().st_size, "sha256": fingerprint(stage / name)}
-        for name in (MODEL, ARCHIVE)
-    }
-    sealed = {"sha256": digest(content), "content": content}
-    (stage / CONTRACT).write_text(json.dumps(sealed, indent=1) + "\n", encoding="utf-8")
     shutil.rmtree(folder, ignore_errors=True)
     stage.rename(folder)
     return content

@@ -60,26 +60,27 @@ class FiniteObservation(SlotTransform):
         self._reward_key, self._in_a_row = reward_key, 0
 
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
-        lost = self._replace(td, self.in_keys, mask)
+        values = self._floats(td, self.in_keys)
+        lost = self._replace(td, values, mask)
         flag = _any_of(lost, td)
-        return self._known(td) | self._lost(td, lost) | {"flag": flag, "blind": flag}
+        return self._memory(values, lost, flag, blind=flag)
 
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
         among = mask
         if self.resets_itself():  # what an episode that has started shows is a reset's
             goes_on = ~any_done(next_td)
             among = goes_on if mask is None else goes_on & mask
-        lost = self._replace(next_td, (*self.in_keys, self._reward_key), among)
-        flag = _any_of(lost, next_td) | self.recall("blind")
+        values = self._floats(next_td, (*self.in_keys, self._reward_key))
+        flag = _any_of(self._replace(next_td, values, among), next_td) | self.recall("blind")
         if mask is not None:
             flag = flag & mask.unsqueeze(-1)
         if flag.any():
             if not self.resets_itself():
                 truncate(next_td, flag)
-        elif any_done(next_td).any():
+        elif self._in_a_row and any_done(next_td).any():
             self._in_a_row = 0
-        blind = torch.zeros_like(flag)
-        return self._known(next_td) | self._lost(next_td, {}) | {"flag": flag, "blind": blind}
+        values.pop(self._reward_key, None)
+        return self._memory(values, {}, flag, blind=torch.zeros_like(flag))
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         if self.memory and self.memory["blind"].any():
@@ -90,14 +91,13 @@ class FiniteObservation(SlotTransform):
         return tensordict
 
     def _replace(
-        self, td: TensorDictBase, keys: Iterable[NestedKey], mask: Mask
+        self, td: TensorDictBase, values: dict[NestedKey, Tensor], mask: Mask
     ) -> dict[NestedKey, Tensor]:
-        """Put what was known last in the place of what is not finite.
+        """Put what was known last in the place of what is not finite, in ``td`` and ``values``.
 
         Returns:
             Of every entry with such a number, in which slots, bool ``[*batch]``.
         """
-        values = self._floats(td, keys)
         if not values or torch.cat([value.flatten() for value in values.values()]).isfinite().all():
             return {}
         lost = {}
@@ -107,19 +107,24 @@ class FiniteObservation(SlotTransform):
             if slots.any():
                 lost[key] = slots
                 kept = self.memory.get(f"known {key}", torch.zeros_like(value))
-                td.set(key, merge(slots, kept, value))
+                values[key] = merge(slots, kept, value)
+                td.set(key, values[key])
         if lost:
             self._bear(lost)
         return lost
 
-    def _known(self, td: TensorDictBase) -> Memory:
+    def _memory(
+        self,
+        values: Mapping[NestedKey, Tensor],
+        lost: Mapping[NestedKey, Tensor],
+        flag: Tensor,
+        blind: Tensor,
+    ) -> Memory:
         # Copies: an environment may change its own tensors in place.
-        values = self._floats(td, self.in_keys)
-        return {f"known {key}": value.clone() for key, value in values.items()}
-
-    def _lost(self, td: TensorDictBase, lost: Mapping[NestedKey, Tensor]) -> Memory:
-        nowhere = torch.zeros(td.batch_size, dtype=torch.bool, device=td.device)
-        return {f"lost {key}": lost.get(key, nowhere) for key in self._floats(td, self.in_keys)}
+        known = {f"known {key}": value.clone() for key, value in values.items()}
+        nowhere = torch.zeros_like(flag[..., 0])
+        slots = {f"lost {key}": lost.get(key, nowhere) for key in values}
+        return known | slots | {"flag": flag, "blind": blind}
 
     def _floats(self, td: TensorDictBase, keys: Iterable[NestedKey]) -> dict[NestedKey, Tensor]:
         values = {key: require(self, td, key) for key in keys}
