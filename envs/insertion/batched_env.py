@@ -150,7 +150,8 @@ class InsertionEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         action = tensordict[ACTION].detach().double().numpy()
         mask = tensordict.get("_step", None)  # slots that take this step; None: all
-        active = True if mask is None else mask.reshape(self.num_envs).numpy()
+        every = np.ones(self.num_envs, dtype=bool)
+        active = every if mask is None else mask.reshape(self.num_envs).numpy()
         if mask is not None:
             action = np.where(active[:, None], action, 0.0)  # nobody has chosen the others
         action = check_action(action, self.num_envs)
