@@ -23,6 +23,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from ..evaluation.entries import ACCEPTED, CONTROLLER
 from ..launch.job import Job
 from ..loggers import metrics
@@ -30,6 +32,7 @@ from ..report.runs import Run
 from ..storage.files import write_atomically
 from ..storage.run_files import CHECKPOINTS, CONFIG_FILE, METRICS, RESULTS, VERSIONS
 from ..storage.transition_log import FOLDER as TRANSITIONS
+from .plan import replaced
 from .spread import POSITIONS, reads_positions, spatial_variance
 
 __all__ = ["keep", "take"]
@@ -94,10 +97,9 @@ def _folder(job: Job, data: Path) -> Path:
 
 def _config(job: Job) -> str:
     """Return the configuration, with the runs that it starts from named as they are kept."""
-    text = (job.path / CONFIG_FILE).read_text(encoding="utf-8")
-    for source in job.needs:
-        text = text.replace(str(source), f"{source.parent.name}/{source.name}")
-    return text
+    config = yaml.safe_load((job.path / CONFIG_FILE).read_text(encoding="utf-8"))
+    names = {str(source): Path(source.parent.name, source.name) for source in job.needs}
+    return yaml.safe_dump(replaced(config, names), sort_keys=False)
 
 
 def _record(run: Run) -> str:

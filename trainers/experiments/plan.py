@@ -30,7 +30,7 @@ from ..launch.job import Job, one_seed
 from ..storage.same_run import SEEDS, measured_settings
 from .spec import Experiment, Overrides, Settings
 
-__all__ = ["Compose", "Point", "command", "plan_jobs", "plan_points", "run_directory"]
+__all__ = ["Compose", "Point", "command", "plan_jobs", "plan_points", "replaced", "run_directory"]
 
 Compose = Callable[[Sequence[str]], dict[str, Any]]
 """From overrides of ``rrl train`` to the resolved configuration."""
@@ -105,9 +105,10 @@ def plan_jobs(points: Sequence[Point], out: Path) -> list[Job]:
         for seed in point.seeds:
             path = run_directory(point, seed, out)
             needs = {
-                name: run_directory(source, seed, out) for name, source in point.sources.items()
+                f"run:{name}": run_directory(source, seed, out)
+                for name, source in point.sources.items()
             }
-            config = _with_sources(one_seed(point.config, seed), needs)
+            config = replaced(one_seed(point.config, seed), needs)
             jobs.setdefault(path, Job(path, config, tuple(needs.values())))
     return sorted(jobs.values(), key=lambda job: job.config["trainer"]["seed"])
 
@@ -197,10 +198,8 @@ def _key(config: Mapping[str, Any], sources: Mapping[str, Point]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
-def _with_sources(node: Any, needs: Mapping[str, Path]) -> Any:
-    """Return a configuration with directories in the place of ``run:NAME``."""
-    if isinstance(node, Mapping):
-        return {key: _with_sources(child, needs) for key, child in node.items()}
-    if isinstance(node, str) and (found := SOURCE.fullmatch(node)):
-        return str(needs[found[1]])
-    return node
+def replaced(config: Any, paths: Mapping[str, Path]) -> Any:
+    """Return a configuration with a path in the place of each value that ``paths`` has."""
+    if isinstance(config, Mapping):
+        return {key: replaced(child, paths) for key, child in config.items()}
+    return str(paths[config]) if isinstance(config, str) and config in paths else config

@@ -5,9 +5,13 @@ import re
 import shutil
 
 import pytest
+import yaml
 
 from experiment_project import EXPERIMENT, write
+from logged_runs import make_run
+from rrl.trainers.experiments.data import keep
 from rrl.trainers.experiments.numbers import COLUMNS
+from rrl.trainers.launch.job import Job, write_config
 
 ARMS = {"residual RL": ["arm=residual"], "RL alone": ["arm=rl"]}
 CURVES = {"title": "A point that drifts", "paper": "none", "figure": "curves", "arms": ARMS}
@@ -93,6 +97,20 @@ def test_how_widely_a_run_moved_is_kept_without_its_transitions(experiment, run,
     (project / "file").touch()
     with pytest.raises(ValueError, match="data: expected a folder, got the file"):
         run("some", data="file")
+
+
+def test_a_kept_run_names_its_source_as_it_is_kept_wherever_the_store_is(tmp_path):
+    """A path that YAML quotes, escapes and would break over lines."""
+    store = tmp_path / ("Bob's: store #1 é, " + "long " * 30)
+    source, path = store / "runs/first-12ab/seed-0", store / "runs/from it-34cd/seed-0"
+    config = yaml.safe_load((make_run(path) / "config.yaml").read_text())
+    config["env"]["inputs"] = {}
+    job = Job(path, {**config, "init_from": {"run": str(source)}}, (source,))
+    write_config(job.config, path)
+    for _ in range(2):
+        keep(job, tmp_path / "kept")
+        text = (tmp_path / "kept/from it-34cd/seed-0/config.yaml").read_text()
+        assert yaml.safe_load(text) == {**config, "init_from": {"run": "first-12ab/seed-0"}}
 
 
 @pytest.mark.slow
