@@ -124,10 +124,8 @@ def _table(experiment: Experiment, finding: Finding) -> Figure:
     table.set_fontsize(9)
     table.auto_set_column_width(range(len(header)))
     table.scale(1, 1.6)
-    first = finding.outcomes[0]
-    text = f"{experiment.heading}\n{len(first.runs)} seeds, "
-    text += f"the same {first.episodes} episodes for each and the controller"
-    figure.suptitle(text, fontsize=10)
+    shown = f"the same {finding.outcomes[0].episodes} episodes for each and the controller"
+    figure.suptitle(f"{experiment.heading}\n{_seeds(finding)}, {shown}", fontsize=10)
     return figure
 
 
@@ -184,11 +182,15 @@ def _finish(figure: Figure, experiment: Experiment, finding: Finding) -> None:
         named = dict(zip(labels, handles, strict=True)) | named
     look: dict[str, Any] = {"loc": "outside lower center", "frameon": False, "fontsize": 9}
     figure.legend(list(named.values()), list(named), ncols=min(3, len(named)), **look)
-    counts = sorted({len(outcome.runs) for outcome in finding.outcomes})
-    seeds = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
     shown = SHOWN if experiment.figure == "front" else INTERVAL
-    title = f"{experiment.heading}\n{seeds} seeds, {shown}"
-    figure.suptitle(title, fontsize=10)
+    figure.suptitle(f"{experiment.heading}\n{_seeds(finding)}, {shown}", fontsize=10)
+
+
+def _seeds(finding: Finding) -> str:
+    """Return how many seeds the arms have, from the fewest to the most."""
+    counts = sorted({len(outcome.runs) for outcome in finding.outcomes})
+    some = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
+    return f"{some} seed" if counts == [1] else f"{some} seeds"
 
 
 def _band(axis: Axes, outcome: Outcome, entry: str, color: str, label: str) -> None:

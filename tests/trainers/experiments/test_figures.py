@@ -54,6 +54,16 @@ def test_figures_and_tables_of_a_store(outcome, figure, tmp_path):
     assert rows[1][4] == "10.0"
 
 
+@pytest.mark.parametrize("figure", ["curves", "table"])
+@pytest.mark.parametrize(
+    ("counts", "said"), [([1], "1 seed, "), ([3], "3 seeds, "), ([1, 3], "1 to 3 seeds, ")]
+)
+def test_the_title_says_how_many_seeds_there_are(outcome, figure, counts, said, tmp_path):
+    made = [outcome(arm=str(count)) for count in counts]
+    some = [replace(o, runs=o.runs[:n]) for o, n in zip(made, counts, strict=True)]
+    assert said in labels(figure, finding(*some), tmp_path)
+
+
 def test_what_is_not_paired_has_fishers_test(outcome):
     changes = {"rescues": 5, "regressions": 0, "mcnemar_p": 0.06}
     loose = {"success": 0.75, "controller_success": 0.1, "fisher_p": 0.03}
