@@ -19,7 +19,7 @@ from rrl.trainers.settings import (
 from rrl.trainers.storage.transition_log import TransitionLog
 from rrl.trainers.training.realtime.hand_over import HandOver
 
-SECONDS, STEPS = 0.6, 400
+SECONDS, STEPS = 1.5, 400  # longer than a loaded machine may stand still and a reset is tried again
 
 
 @pytest.mark.parametrize(
