@@ -23,6 +23,7 @@ from rrl.algorithms.settings import AgentSettings
 from rrl.algorithms.symmetric_actor import SymmetricActor
 from rrl.algorithms.transfer import take_over, twin
 from rrl.algorithms.updates import UPDATES_PER_GRAPH, Kind, Updates
+from rrl.algorithms.value_bounds import bound_values
 from rrl.checks import check_whole
 from rrl.inputs import Input
 from rrl.keys import ACTION, REWARD
@@ -143,6 +144,8 @@ class Agent(nn.Module, ABC):
         """Take over the loss, and make optimizers and targets for it."""
         self.loss = loss
         self.loss.make_value_estimator(ValueEstimators.TD0, gamma=self.gamma)
+        if self.settings.value_bounds:
+            bound_values(self.loss)
         self.soft_update = SoftUpdate(self.loss, tau=self.settings.tau)
         self._critic_params = list(critic_params.values(True, True))
         self._actor_params = list(actor_params.values(True, True))

@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any, ClassVar
 
 import torch
-from pydantic import Field
+from pydantic import Field, field_validator
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import (
     InteractionType,
@@ -49,6 +49,16 @@ class SACSettings(EnsembleSettings):
     temperature_lr: float = Field(1e-3, gt=0)
     initial_temperature: float = Field(0.1, gt=0)
     target_entropy: float | None = None
+
+    @field_validator("value_bounds")
+    @classmethod
+    def _has_no_bounds(cls, value: bool) -> bool:
+        if value:
+            raise ValueError(
+                "value_bounds: expected false for SAC, whose values hold the policy's entropy "
+                "beside the rewards; network.layer_norm=true keeps them near what was seen"
+            )
+        return value
 
 
 class _MeanAndDeviation(nn.Module):

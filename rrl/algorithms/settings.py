@@ -30,6 +30,8 @@ class AgentSettings(BaseModel):
         critic_burn_in: Updates at the start in which the critics learn and the policy waits; a
             trainer takes them all before its first round of updates.
         loss_function: The critics' loss.
+        value_bounds: Keep targets within what the rewards seen so far can add up to
+            (:class:`.value_bounds.BoundedTD0Estimator`).
         reward_scale: Factor on the stored reward before the critics see it, not 0; None: derived
             from the first transitions, so that rewards of any size are learned from alike.
         residual_penalty: Weight of the action's square in the policy's loss, at first. With a
@@ -56,6 +58,7 @@ class AgentSettings(BaseModel):
     policy_delay: int = Field(1, ge=1)
     critic_burn_in: int = Field(0, ge=0)
     loss_function: Literal["l2", "l1", "smooth_l1"] = "l2"
+    value_bounds: bool = False
     reward_scale: float | None = 1.0
     residual_penalty: float = Field(0.0, ge=0)
     penalty_updates: int | None = Field(1000, gt=0)

@@ -1,0 +1,65 @@
+"""Targets within what rewards can add up to."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.objectives import LossModule
+from torchrl.objectives.value import TD0Estimator
+
+__all__ = ["BoundedTD0Estimator", "bound_values"]
+
+
+class BoundedTD0Estimator(TD0Estimator):
+    """TorchRL's TD(0) target, kept within what the rewards seen so far can add up to.
+
+    An episode that its time limit cuts off ends in a state that no transition starts from, so that
+    nothing corrects the critics' value of it. Where they extrapolate to it from the states before,
+    each target lets both grow, and a single such episode can end a run. Rewards between ``a`` and
+    ``b`` add up to no less than ``a / (1 - gamma)`` and no more than ``b / (1 - gamma)``; after an
+    end nothing is added, so that 0 is possible too. A target beyond is an error of the critics.
+
+    Args:
+        arguments: Of ``TD0Estimator``.
+
+    Attributes:
+        least: Smallest possible value of what was seen, a scalar.
+        most: Largest possible value of what was seen, a scalar.
+    """
+
+    least: Tensor
+    most: Tensor
+
+    def __init__(self, **arguments: Any) -> None:
+        super().__init__(**arguments)
+        for name in ("least", "most"):
+            self.register_buffer(name, torch.zeros_like(self.gamma))
+
+    def value_estimate(
+        self, tensordict: TensorDictBase, *arguments: Any, **settings: Any
+    ) -> Tensor:
+        """Return the targets ``[*batch, 1]``, after a look at the rewards."""
+        target = super().value_estimate(tensordict, *arguments, **settings)
+        self._see(tensordict)
+        return target.clamp(self.least, self.most)
+
+    @torch.no_grad()
+    def _see(self, tensordict: TensorDictBase) -> None:
+        reward = tensordict.get(("next", self.tensor_keys.reward))
+        steps = tensordict.get(self.tensor_keys.steps_to_next_obs, None)
+        discount = self.gamma if steps is None else self.gamma ** steps.view_as(reward)
+        low, high = torch.aminmax(reward / (1.0 - discount))
+        self.least.copy_(torch.minimum(self.least, low))
+        self.most.copy_(torch.maximum(self.most, high))
+
+
+def bound_values(loss: LossModule) -> None:
+    """Bound the TD(0) targets of one of TorchRL's losses, whose estimator was made."""
+    plain: Any = loss.value_estimator
+    bounded = BoundedTD0Estimator(gamma=float(plain.gamma), value_network=plain.value_network)
+    keys = ("value", "reward", "done", "terminated", "steps_to_next_obs")
+    bounded.set_keys(**{key: getattr(plain.tensor_keys, key) for key in keys})
+    loss.make_value_estimator(bounded)

@@ -1,0 +1,82 @@
+"""Targets stay within what rewards can add up to."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from agents import batches, make_agent, parameters
+from rrl.algorithms import DDPG, SAC, TD3
+
+GAMMA = 0.9
+
+
+def an_episode_that_is_cut_off(length=12):
+    """A block that tips further and further; no transition starts from where the episode ends."""
+    tilt = (torch.arange(length + 1) / length).square().unsqueeze(-1)
+    observation = 5.0 * tilt * torch.tensor([1.0, -1.0, 0.5, -0.5, 0.2])
+    done = torch.zeros(length, 1, dtype=torch.bool)
+    done[-1] = True
+    return TensorDict(
+        {
+            "observation": observation[:-1],
+            "action": torch.zeros(length, 2),
+            "next": {
+                "observation": observation[1:],
+                "reward": -tilt[1:],
+                "done": done,
+                "terminated": torch.zeros_like(done),
+            },
+        },
+        [length],
+    )
+
+
+def learned_from(data, **settings):
+    torch.manual_seed(0)
+    agent = make_agent(gamma=GAMMA, tau=0.05, **settings)
+    for _ in range(400):
+        metrics = agent.update(data[torch.randint(len(data), (10, 64))])
+    return agent, float(metrics["target_value"])
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("algorithm", [TD3, DDPG])
+def test_an_episode_that_is_cut_off_does_not_blow_values_up(algorithm, compiled):
+    data = an_episode_that_is_cut_off()
+    least = float(data["next", "reward"].min()) / (1 - GAMMA)
+    _, plain = learned_from(data, algorithm=algorithm)
+    assert plain < 2 * least  # what it is for
+    agent, bounded = learned_from(data, algorithm=algorithm, value_bounds=True, compiled=compiled)
+    assert least <= bounded < 0
+    estimator = agent.loss.value_estimator
+    assert float(estimator.least) == pytest.approx(least)
+    assert float(estimator.most) == 0.0
+
+
+@pytest.mark.parametrize("steps", [None, 1, 3])
+@pytest.mark.parametrize("algorithm", [TD3, DDPG])
+def test_where_targets_are_possible_learning_is_the_same_to_the_bit(algorithm, steps):
+    data = batches(10)
+    reward = data["next", "reward"]
+    if steps is not None:
+        data["steps_to_next_obs"] = torch.full_like(reward, steps)
+    learned = []
+    for bounds in (False, True):
+        agent = make_agent(algorithm=algorithm, gamma=GAMMA, value_bounds=bounds)
+        torch.manual_seed(1)
+        agent.update(data.clone())
+        learned.append(parameters(agent))
+    plain, bounded = learned
+    assert all(torch.equal(bounded[name], value) for name, value in plain.items())
+    possible = reward / (1 - GAMMA ** (steps or 1))
+    estimator = agent.loss.value_estimator
+    assert estimator.least == pytest.approx(float(possible.min()))
+    assert estimator.most == pytest.approx(float(possible.max()))
+    twin = make_agent(algorithm=algorithm, gamma=GAMMA, value_bounds=True)
+    twin.load_state_dict(agent.state_dict())  # a resumed run knows what rewards there are
+    assert torch.equal(twin.loss.value_estimator.least, estimator.least)
+
+
+def test_values_that_hold_an_entropy_have_no_bounds():
+    with pytest.raises(ValueError, match=r"value_bounds: expected false for SAC.*entropy"):
+        make_agent(algorithm=SAC, value_bounds=True)
