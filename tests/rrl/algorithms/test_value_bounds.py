@@ -33,9 +33,9 @@ def an_episode_that_is_cut_off(length=12):
 
 def learned_from(data, **settings):
     torch.manual_seed(0)
-    agent = make_agent(gamma=GAMMA, tau=0.05, **settings)
-    for _ in range(400):
-        metrics = agent.update(data[torch.randint(len(data), (10, 64))])
+    agent = make_agent(gamma=GAMMA, tau=0.5, critic_lr=3e-3, **settings)
+    for _ in range(20):
+        metrics = agent.update(data[torch.randint(len(data), (10, 12))])
     return agent, float(metrics["target_value"])
 
 
