@@ -19,6 +19,7 @@ def test_no_limit_is_exceeded(variant, name, case):
         assert max(worst.values[FORCE] for worst in found.values()) > 20.0
 
 
+@pytest.mark.slow
 def test_a_limit_that_does_not_hold_is_named():
     found = measure("real", "step", CASES["nominal"], seed=0, generations=1)
     assert not excesses("real", "step", found)

@@ -49,7 +49,7 @@ def load(monkeypatch):
 
 
 LONG = [pytest.mark.slow, pytest.mark.timeout(1200)]  # compiled for a small run on a busy machine
-QUICK = ("targets_and_deltas",)
+QUICK = ("budget",)
 
 
 @pytest.mark.parametrize(

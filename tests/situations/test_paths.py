@@ -26,6 +26,7 @@ def quiet(*arguments):
     assert main(arguments) == 0
 
 
+@pytest.mark.slow
 def test_every_command_takes_a_run_of_any_name(tmp_path, monkeypatch, capsys):
     home = tmp_path / NASTY
     home.mkdir()

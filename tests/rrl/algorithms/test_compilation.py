@@ -69,6 +69,7 @@ def test_a_user_without_a_home_has_a_cache(monkeypatch, tmp_path):
     assert Path(os.environ["TORCHINDUCTOR_CACHE_DIR"]).is_relative_to(tmp_path)
 
 
+@pytest.mark.slow
 def test_with_a_broken_compiler_the_update_runs_as_it_is_and_the_cache_is_named_once(tmp_path):
     """In a process of its own, because PyTorch remembers what a compiler can do."""
     compiler, cache = tmp_path / "broken-g++", tmp_path / "cache"
@@ -118,7 +119,7 @@ def test_with_a_compiler_there_is_no_problem():
     assert compiler_problem() is None
 
 
-@pytest.mark.parametrize("there", [True, False])
+@pytest.mark.parametrize("there", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_the_compiler_can_be_imported_ahead(there):
     """In a process of its own: importing us does not import it, importing it ahead does, if it is there; no warning."""
     script = f"""

@@ -92,7 +92,7 @@ def assert_same_episodes(factory, policy, onnx, archive, seed=10):
     ("algorithm", "controller"),
     [
         ("td3-ensemble", "proportional"),
-        ("sac", "pid"),
+        pytest.param("sac", "pid", marks=pytest.mark.slow),
         *(
             pytest.param("td3-ensemble", name, marks=pytest.mark.slow)
             for name in [*CONTROLLERS][1:]
@@ -137,7 +137,10 @@ LIMITED = {
 }
 
 
-@pytest.mark.parametrize("limits", LIMITED)
+@pytest.mark.parametrize(
+    "limits",
+    [pytest.param(name, marks=() if name == "all" else pytest.mark.slow) for name in LIMITED],
+)
 def test_a_scale_of_zero_is_the_controller_to_the_bit(limits, tmp_path):
     configured = config(*LIMITED[limits], "residual_scale=0.0")
     factory = replace(assembly.environment(configured), controller=pid)

@@ -224,7 +224,7 @@ def test_one_that_has_no_state_to_give_is_not_moved_to_try_it(make, base):
     assert Counting.moves == 0
 
 
-@pytest.mark.parametrize("collection", ["turn", "overlap"])
+@pytest.mark.parametrize("collection", ["turn", pytest.param("overlap", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("num_envs", [1, 2])
 def test_double_precision_reaches_the_environment_and_single_the_learner(
     make, num_envs, collection

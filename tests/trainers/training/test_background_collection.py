@@ -156,6 +156,7 @@ def test_a_signal_finishes_what_is_under_way_and_saves_it(make):
     assert same(whole, run(second))
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_from_a_checkpoint_made_while_the_next_collection_was_under_way(make):
     whole = run(make("whole"))
     trainer = make("broken")
@@ -177,7 +178,12 @@ def test_a_run_goes_on_from_a_checkpoint_made_while_the_next_collection_was_unde
 
 @pytest.mark.parametrize(
     ("batching", "num_envs", "batch_size"),
-    [("serial", 1, []), ("serial", 2, []), ("parallel", 2, []), ("native", 2, None)],
+    [
+        pytest.param("serial", 1, [], marks=pytest.mark.slow),
+        pytest.param("serial", 2, [], marks=pytest.mark.slow),
+        pytest.param("parallel", 2, [], marks=pytest.mark.slow),
+        ("native", 2, None),
+    ],
 )
 def test_every_kind_of_environment_is_collected_from(
     make_trainer, factory, batching, num_envs, batch_size

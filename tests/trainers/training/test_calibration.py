@@ -38,7 +38,7 @@ def test_a_run_writes_what_it_derived(make_trainer):
     )
 
 
-@pytest.mark.parametrize("collection", ["turn", "overlap"])
+@pytest.mark.parametrize("collection", ["turn", pytest.param("overlap", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("step", [40, 120])
 def test_a_run_that_died_derives_the_same(make_trainer, simulated, step, collection):
     arguments = {

@@ -78,13 +78,10 @@ def last_drift(results) -> float:
     return float(results["drift"].residual.metrics["drift"].mean())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("learner", "explore"),
-    [
-        pytest.param(TD3, None, marks=pytest.mark.slow),
-        (DDPG, None),
-        pytest.param(SAC, no_exploration, marks=pytest.mark.slow),
-    ],
+    [(TD3, None), (DDPG, None), (SAC, no_exploration)],
     ids=["TD3", "DDPG", "SAC"],
 )
 def test_a_budget_holds_back_what_would_pay(make_trainer, factory, learner, explore):

@@ -61,7 +61,7 @@ def test_a_pause_holds_the_environment_and_changes_nothing(make, collection):
     assert trainer.clock.seconds["robot"] < seconds - 1.0  # it did not move meanwhile
 
 
-@pytest.mark.parametrize("collection", ["turn", "overlap"])
+@pytest.mark.parametrize("collection", ["turn", pytest.param("overlap", marks=pytest.mark.slow)])
 def test_a_run_that_is_paused_stops_when_asked(make, collection):
     trainer = make(collection=collection, total_steps=10_000)
     trainer.person.pause()

@@ -1,5 +1,7 @@
 """The profile names every part of a step, and the parts make up the whole."""
 
+import pytest
+
 from rrl.trainers.loggers import read_metrics
 
 
@@ -26,6 +28,7 @@ def test_a_profile_names_physics_transforms_policy_sampling_and_update(make_trai
     assert "time/collect/environment" in read_metrics(trainer.run_dir)
 
 
+@pytest.mark.slow
 def test_what_a_second_process_does_stands_below_the_sum(make_trainer, simulated):
     with make_trainer(profile=True, collection="overlap", environment=simulated) as trainer:
         trainer.run()

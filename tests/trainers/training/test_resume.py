@@ -85,7 +85,10 @@ def broken(make, **arguments):
 
 
 @pytest.mark.parametrize("collection", ["turn", pytest.param("overlap", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("algorithm", LEARNERS)
+@pytest.mark.parametrize(
+    "algorithm",
+    [pytest.param(a, marks=() if a == "TD3" else pytest.mark.slow) for a in LEARNERS],
+)
 def test_a_run_that_dies_at_many_places_is_the_run_that_never_died(make, algorithm, collection):
     arguments = {"algorithm": algorithm, "collection": collection, "n_step": 2}
     assert_same_run(run(make("whole", **arguments)), broken(make, **arguments))

@@ -73,7 +73,7 @@ def insertion(variant):
     )
 
 
-@pytest.mark.parametrize("variant", ["sim", "real"])
+@pytest.mark.parametrize("variant", [pytest.param("sim", marks=pytest.mark.slow), "real"])
 def test_resuming_equals_never_having_stopped(make_trainer, variant):
     make = partial(
         make_trainer,

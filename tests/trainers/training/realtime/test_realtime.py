@@ -103,6 +103,7 @@ def test_killed_learners_lose_nothing_and_the_environment_goes_on(make, tmp_path
     assert times.diff().min() > 0
 
 
+@pytest.mark.slow
 def test_an_acting_process_that_died_is_named_and_another_takes_over(make):
     trainer = make(total_steps=600)
     one_round = trainer._round
