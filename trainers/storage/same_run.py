@@ -108,6 +108,7 @@ def _unused(given: Mapping[str, str]) -> list[str]:
     budgets = [v for k, v in given.items() if fnmatchcase(k, "env.metrics.*.budget")]
     unused = {
         "trainer.constraints*": all(value == "null" for value in budgets),
+        "algorithm.agent.value_bounds": given.get("algorithm.agent.value_bounds") == "false",
         "trainer.realtime.*": given.get("trainer.collection") != '"realtime"',
     }
     return [pattern for pattern, off in unused.items() if off]
