@@ -26,3 +26,9 @@ def test_settings_of_what_is_off_do_not_count(key):
 @pytest.mark.parametrize("override", ["trainer.n_step=2", "env.metrics.tilt.budget=0.1"])
 def test_what_is_learned_counts(override):
     assert measured(override) != measured()
+
+
+def test_a_setting_that_is_off_is_one_that_was_not_there():
+    without = measured("~algorithm.agent.value_bounds")
+    assert measured() == without
+    assert measured("algorithm.agent.value_bounds=true") != without
