@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import sysconfig
 import traceback
 from pathlib import Path
@@ -9,11 +10,13 @@ from types import FrameType
 
 import yaml
 
-__all__ = ["message", "place"]
+__all__ = ["message", "packed", "place", "unpacked"]
 
 LIBRARIES = ("site-packages", "dist-packages")
 STANDARD = Path(sysconfig.get_path("stdlib"))
 HINT = "RRL_TRACEBACK=1 shows where it comes from"
+ORIGIN = "_rrl_origin"
+"""Attribute of an error from another process: its place, and whether it is explained."""
 
 
 def message(error: BaseException) -> str:
@@ -28,6 +31,8 @@ def place(error: BaseException | None) -> str:
     Returns:
         `` (file:line, in function)``; empty where there is none.
     """
+    if hasattr(error, ORIGIN):
+        return str(getattr(error, ORIGIN)[0])
     for frame, line in reversed(_frames(error)):
         file = Path(frame.f_code.co_filename)
         if not _is_ours(frame) and not _is_of_a_library(file):
@@ -35,6 +40,29 @@ def place(error: BaseException | None) -> str:
             shown = file.relative_to(here) if file.is_relative_to(here) else file
             return f" ({shown}:{line}, in {frame.f_code.co_name})"
     return ""
+
+
+def packed(error: Exception) -> bytes:
+    """Return an error for another process, as another kind where it cannot be sent.
+
+    Frames cannot be sent: what they tell goes with it, for :func:`message` and for a traceback.
+    """
+    told = place(error), _is_explained(error)
+    text = "".join(traceback.format_exception(type(error), error, error.__traceback__))
+    try:
+        data = pickle.dumps((error, told, text))
+        pickle.loads(data)
+    except Exception:
+        data = pickle.dumps((RuntimeError(f"{type(error).__name__}: {error}"), told, text))
+    return data
+
+
+def unpacked(data: bytes, process: str) -> Exception:
+    """Return an error that another process has :func:`packed`, with its traceback as the cause."""
+    error, told, text = pickle.loads(data)
+    setattr(error, ORIGIN, told)
+    error.__cause__ = RuntimeError(f"in {process}:\n{text}")
+    return error
 
 
 def _frames(error: BaseException | None) -> list[tuple[FrameType, int]]:
@@ -52,6 +80,8 @@ def _is_of_a_library(file: Path) -> bool:
 
 def _is_explained(error: BaseException) -> bool:
     """Return whether an error was raised by this package, or names a file and what is wrong."""
+    if hasattr(error, ORIGIN):
+        return bool(getattr(error, ORIGIN)[1])
     frames = _frames(error)
     return not frames or _is_ours(frames[-1][0]) or isinstance(error, OSError | yaml.YAMLError)
 
@@ -63,5 +93,7 @@ def _text(error: BaseException) -> str:
     if isinstance(error, OSError) and error.strerror and error.filename:
         return f"{error.filename}: {error.strerror}"
     text = str(error) or type(error).__name__
+    if hasattr(error, ORIGIN):  # its cause is a traceback
+        return text
     cause = str(error.__cause__ or "").partition("\n")[0]  # Hydra keeps the reason there
     return text if cause in text else f"{text}\n{cause}"

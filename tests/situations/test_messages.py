@@ -23,8 +23,12 @@ def controller(deep):
 """
 
 
-@pytest.mark.parametrize("deep", [False, True])
-def test_an_error_of_the_user_s_own_code_has_its_place(tmp_path, monkeypatch, capsys, deep):
+@pytest.mark.parametrize(
+    ("deep", "collection"), [(False, "turn"), (True, "turn"), (True, "overlap")]
+)
+def test_an_error_of_the_user_s_own_code_has_its_place(
+    tmp_path, monkeypatch, capsys, deep, collection
+):
     own = tmp_path / "configs/controller/wrong.yaml"
     own.parent.mkdir(parents=True)
     own.write_text(f"_target_: wrong_controller.controller\ndeep: {deep}\n")
@@ -32,7 +36,7 @@ def test_an_error_of_the_user_s_own_code_has_its_place(tmp_path, monkeypatch, ca
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "wrong_controller", raising=False)
-    assert main(["train", *SMALL, "controller=wrong"]) == 2
+    assert main(["train", *SMALL, "controller=wrong", f"trainer.collection={collection}"]) == 2
     del sys.modules["wrong_controller"]
     said = capsys.readouterr().err
     what = "non-empty TensorList" if deep else "index 99 is out of bounds for axis 0 with size 3"

@@ -6,11 +6,9 @@ import atexit
 import contextlib
 import io
 import os
-import pickle
 import signal
 import threading
 import time
-import traceback
 import warnings
 from collections.abc import Callable, Mapping
 from multiprocessing import get_context, parent_process
@@ -27,6 +25,7 @@ from torchrl.checkpoint import GlobalRNGState
 from rrl.algorithms.compilation import import_compiler
 
 from ..environment import EnvironmentFactory
+from ..errors import packed, unpacked
 from ..requests import Request, Requests, stop_of
 from ..settings import TrainerSettings
 from ..storage.plain_state import from_plain, to_plain
@@ -171,8 +170,7 @@ class InBackground(Collection):
             raise self._death() from error
         if succeeded:
             return result
-        failure, text = pickle.loads(result)
-        raise failure from RuntimeError(f"in the collecting process:\n{text}")
+        raise unpacked(result, "the collecting process")
 
     def _death(self) -> RuntimeError:
         self._process.join(CLOSE_SECONDS)
@@ -236,7 +234,7 @@ def _serve(connection: Connection, told: Connection, recipe: bytes) -> None:
         try:
             connection.send((True, make()))
         except Exception as error:
-            connection.send((False, portable(error)))
+            connection.send((False, packed(error)))
             return False
         return True
 
@@ -270,17 +268,6 @@ def _end_with_parent() -> None:
     assert parent is not None
     parent.join()
     os._exit(1)
-
-
-def portable(error: Exception) -> bytes:
-    """Return an exception with its traceback's text, as another kind where it cannot be sent."""
-    text = "".join(traceback.format_exception(type(error), error, error.__traceback__))
-    try:
-        packed = pickle.dumps((error, text))
-        pickle.loads(packed)
-    except Exception:
-        packed = pickle.dumps((RuntimeError(f"{type(error).__name__}: {error}"), text))
-    return packed
 
 
 def _pack(state: Any) -> bytes:

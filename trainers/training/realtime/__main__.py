@@ -14,13 +14,13 @@ from pathlib import Path
 from rrl.pace import Pace, prioritize
 
 from ...environment import EnvironmentFactory
+from ...errors import packed
 from ...requests import stand_still, stop_of
 from ...resumable_env import ResumableEnv
 from ...settings import TrainerSettings
 from ...storage.files import lock
 from ...storage.transition_log import FOLDER as TRANSITIONS
 from ...storage.transition_log import TransitionLog
-from ..background_collection import portable
 from ..collection_metrics import Authority
 from ..interface import prepare
 from ..torch_setup import configure_torch
@@ -107,7 +107,7 @@ def main(folder: str, learner: int) -> int:
     try:
         _act(hand_over, learner)
     except Exception as error:
-        hand_over.write("failure", portable(error))
+        hand_over.write("failure", packed(error))
         log.exception("the acting process ends")
         return 1
     finally:

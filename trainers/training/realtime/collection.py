@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import logging
 import os
-import pickle
 import signal
 import subprocess
 import sys
@@ -21,6 +20,7 @@ from tensordict.nn import TensorDictModuleBase
 from rrl.pace import prioritized
 
 from ...environment import EnvironmentFactory
+from ...errors import unpacked
 from ...loggers import metrics
 from ...requests import Request, Requests
 from ...seeds import Stream, first_seed
@@ -275,8 +275,7 @@ class RealTime(Collection):
         if self._runs():
             return
         if (failure := self._hand_over.read("failure")) is not None:
-            error, text = pickle.loads(failure)
-            raise error from RuntimeError(f"in the acting process:\n{text}")
+            raise unpacked(failure, "the acting process")
         raise RuntimeError(
             "the acting process died; every transition is on disk, "
             f"and its last words are in {self._hand_over.folder / 'log.txt'}"
