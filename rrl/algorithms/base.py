@@ -23,7 +23,7 @@ from rrl.algorithms.settings import AgentSettings
 from rrl.algorithms.symmetric_actor import SymmetricActor
 from rrl.algorithms.transfer import take_over, twin
 from rrl.algorithms.updates import UPDATES_PER_GRAPH, Kind, Updates
-from rrl.algorithms.value_bounds import bound_values
+from rrl.algorithms.value_bounds import BoundedTD0Estimator, bound_values
 from rrl.checks import check_whole
 from rrl.inputs import Input
 from rrl.keys import ACTION, REWARD
@@ -54,6 +54,8 @@ class Agent(nn.Module, ABC):
     """
 
     Settings: ClassVar[type[AgentSettings]] = AgentSettings
+    bounded_targets: ClassVar[type[BoundedTD0Estimator]] = BoundedTD0Estimator
+    """What makes targets where ``value_bounds`` is true."""
     loss: LossModule
     critic_optimizer: Any
     actor_optimizer: Any
@@ -145,7 +147,7 @@ class Agent(nn.Module, ABC):
         self.loss = loss
         self.loss.make_value_estimator(ValueEstimators.TD0, gamma=self.gamma)
         if self.settings.value_bounds:
-            bound_values(self.loss)
+            bound_values(self.loss, self.bounded_targets)
         self.soft_update = SoftUpdate(self.loss, tau=self.settings.tau)
         self._critic_params = list(critic_params.values(True, True))
         self._actor_params = list(actor_params.values(True, True))

@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any, ClassVar
 
 import torch
-from pydantic import Field, field_validator
+from pydantic import Field
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import (
     InteractionType,
@@ -26,6 +26,7 @@ from rrl.algorithms.networks import last_layer
 from rrl.algorithms.precision import single_precision
 from rrl.algorithms.settings import AgentSettings
 from rrl.algorithms.td3 import EnsembleSettings
+from rrl.algorithms.value_bounds import BoundedTD0Estimator, SoftBoundedTD0Estimator
 from rrl.keys import ACTION
 
 __all__ = ["SAC", "SACSettings", "no_exploration"]
@@ -49,16 +50,6 @@ class SACSettings(EnsembleSettings):
     temperature_lr: float = Field(1e-3, gt=0)
     initial_temperature: float = Field(0.1, gt=0)
     target_entropy: float | None = None
-
-    @field_validator("value_bounds")
-    @classmethod
-    def _has_no_bounds(cls, value: bool) -> bool:
-        if value:
-            raise ValueError(
-                "value_bounds: expected false for SAC, whose values hold the policy's entropy "
-                "beside the rewards; network.layer_norm=true keeps them near what was seen"
-            )
-        return value
 
 
 class _MeanAndDeviation(nn.Module):
@@ -86,6 +77,7 @@ class SAC(Agent):
 
     Settings: ClassVar[type[AgentSettings]] = SACSettings
     settings: SACSettings
+    bounded_targets: ClassVar[type[BoundedTD0Estimator]] = SoftBoundedTD0Estimator
     temperature_optimizer: Any
 
     @single_precision()
@@ -140,6 +132,8 @@ class SAC(Agent):
         """Return the policy's loss, and tune the temperature to the target entropy."""
         loss, info = self.loss.actor_loss(batch.clone(False))  # it writes mean and deviation
         temperature = self.loss.log_alpha.detach().exp()
+        if self.settings.value_bounds:
+            self.loss.value_estimator.grant(-temperature * info["log_prob"].detach())
         tuning = self.loss.alpha_loss(info["log_prob"]).mean()
         self.temperature_optimizer.step(torch.autograd.grad(tuning, [self.loss.log_alpha]))
         return loss, {"entropy": -info["log_prob"].mean(), "temperature": temperature}

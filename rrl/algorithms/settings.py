@@ -31,7 +31,7 @@ class AgentSettings(BaseModel):
             trainer takes them all before its first round of updates.
         loss_function: The critics' loss.
         value_bounds: Keep targets within what the rewards seen so far can add up to
-            (:class:`.value_bounds.BoundedTD0Estimator`).
+            (:class:`.value_bounds.BoundedTD0Estimator`), with SAC's entropies.
         reward_scale: Factor on the stored reward before the critics see it, not 0; None: derived
             from the first transitions, so that rewards of any size are learned from alike.
         residual_penalty: Weight of the action's square in the policy's loss, at first. With a

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchrl.objectives import LossModule
 from torchrl.objectives.value import TD0Estimator
 
-__all__ = ["BoundedTD0Estimator", "bound_values"]
+__all__ = ["BoundedTD0Estimator", "SoftBoundedTD0Estimator", "bound_values"]
 
 
 class BoundedTD0Estimator(TD0Estimator):
@@ -44,7 +44,10 @@ class BoundedTD0Estimator(TD0Estimator):
         """Return the targets ``[*batch, 1]``, after a look at the rewards."""
         target = super().value_estimate(tensordict, *arguments, **settings)
         self._see(tensordict)
-        return target.clamp(self.least, self.most)
+        return target.clamp(*self._bounds())
+
+    def _bounds(self) -> tuple[Tensor, Tensor]:
+        return self.least, self.most
 
     @torch.no_grad()
     def _see(self, tensordict: TensorDictBase) -> None:
@@ -56,10 +59,42 @@ class BoundedTD0Estimator(TD0Estimator):
         self.most.copy_(torch.maximum(self.most, high))
 
 
-def bound_values(loss: LossModule) -> None:
+class SoftBoundedTD0Estimator(BoundedTD0Estimator):
+    """The same for soft values, which hold a price on the policy's entropy beside the rewards.
+
+    Args:
+        arguments: Of ``TD0Estimator``.
+
+    Attributes:
+        least_bonus: Smallest bonus seen, a scalar, at most 0.
+        most_bonus: Largest bonus seen, a scalar, at least 0.
+    """
+
+    least_bonus: Tensor
+    most_bonus: Tensor
+
+    def __init__(self, **arguments: Any) -> None:
+        super().__init__(**arguments)
+        for name in ("least_bonus", "most_bonus"):
+            self.register_buffer(name, torch.zeros_like(self.gamma))
+
+    @torch.no_grad()
+    def grant(self, bonus: Tensor) -> None:
+        """Widen the bounds by what is added to the value of every next state, of any shape."""
+        low, high = torch.aminmax(bonus)
+        self.least_bonus.copy_(torch.minimum(self.least_bonus, low))
+        self.most_bonus.copy_(torch.maximum(self.most_bonus, high))
+
+    def _bounds(self) -> tuple[Tensor, Tensor]:
+        following = self.gamma / (1.0 - self.gamma)  # bonuses of all steps but the first
+        least, most = super()._bounds()
+        return least + following * self.least_bonus, most + following * self.most_bonus
+
+
+def bound_values(loss: LossModule, kind: type[BoundedTD0Estimator] = BoundedTD0Estimator) -> None:
     """Bound the TD(0) targets of one of TorchRL's losses, whose estimator was made."""
     plain: Any = loss.value_estimator
-    bounded = BoundedTD0Estimator(gamma=float(plain.gamma), value_network=plain.value_network)
+    bounded = kind(gamma=float(plain.gamma), value_network=plain.value_network)
     keys = ("value", "reward", "done", "terminated", "steps_to_next_obs")
     bounded.set_keys(**{key: getattr(plain.tensor_keys, key) for key in keys})
     loss.make_value_estimator(bounded)
