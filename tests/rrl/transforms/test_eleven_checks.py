@@ -85,7 +85,14 @@ def test_serial_of_transformed(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "factory", [residual_with_memory, control_noise, observation_noise, latency, safe_residual]
+    "factory",
+    [
+        residual_with_memory,
+        *(
+            pytest.param(factory, marks=pytest.mark.slow)
+            for factory in (control_noise, observation_noise, latency, safe_residual)
+        ),
+    ],
 )
 def test_parallel_of_transformed(factory: Factory) -> None:
     env = ParallelEnv(WORKERS, partial(make_env, factory, seed=None), mp_start_method="spawn")
