@@ -67,6 +67,7 @@ def test_a_wrong_device_is_named() -> None:
     assert "got 'egl' (egl: " in output and "apt-get install" in output
 
 
+@pytest.mark.slow
 def test_import_and_training_load_no_opengl_and_leave_the_environment_alone() -> None:
     check = """
 import os, sys

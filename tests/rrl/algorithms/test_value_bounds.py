@@ -39,7 +39,7 @@ def learned_from(data, **settings):
     return agent, float(metrics["loss_critic"])
 
 
-@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("algorithm", [TD3, DDPG, SAC])
 def test_an_episode_that_is_cut_off_does_not_blow_values_up(algorithm, compiled):
     data = an_episode_that_is_cut_off()

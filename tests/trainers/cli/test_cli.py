@@ -184,12 +184,16 @@ def test_resume_continues_to_the_new_end(trained):
     [
         (["trian"], "got 'trian'"),
         (["train", "trainer.sede=3"], "sede"),
-        (["train", "trainer.num_seeds=-1"], "trainer.num_seeds"),
+        pytest.param(
+            ["train", "trainer.num_seeds=-1"], "trainer.num_seeds", marks=pytest.mark.slow
+        ),
         (["train", "trainer.total_steps=300", "trainer.warmup_steps=300"], "nothing is learned"),
         (["train", "env=insertion-mars"], "insertion-mars"),
         (["train", "+algorithm.agent.learning_rate=0.1"], "does not take 'learning_rate'"),
-        (["train", "+env.base.clearence=0.1"], "clearance"),
-        (["train", "env.base._target_=nowhere.Env"], "nowhere.Env"),
+        pytest.param(["train", "+env.base.clearence=0.1"], "clearance", marks=pytest.mark.slow),
+        pytest.param(
+            ["train", "env.base._target_=nowhere.Env"], "nowhere.Env", marks=pytest.mark.slow
+        ),
         (["evaluate"], "expected run=DIRECTORY"),
         (["evaluate", "run=missing"], "no config.yaml"),
     ],

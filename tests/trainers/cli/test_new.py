@@ -70,6 +70,7 @@ def test_a_new_project_trains_and_is_evaluated(project):
     assert (run_dir / "results.json").read_text() == results
 
 
+@pytest.mark.slow
 def test_the_baseline_without_a_controller_fits_any_environment(project):
     result = rrl("train", "env=my_project", "arm=rl", *SMALL, cwd=project)
     assert result.returncode == 0, result.stderr

@@ -38,6 +38,7 @@ def tables(report):
     return re.findall(r"<table.*?</table>", page, re.DOTALL)
 
 
+@pytest.mark.slow
 def test_figure_tables_and_numbers_come_from_what_is_kept(experiment, run, project):
     experiment({**CURVES, "overrides": ["trainer.acceptance.enabled=true"]})
     first, _ = run("some", data="kept")
@@ -78,6 +79,7 @@ def check_numbers(rows):
     assert rescued == pytest.approx([4 * gain for gain in gains])
 
 
+@pytest.mark.slow
 def test_how_widely_a_run_moved_is_kept_without_its_transitions(experiment, run, project):
     experiment(
         {**CURVES, "figure": "spread", "seeds": 1, "overrides": ["+env.base.dim=3"]},
@@ -143,6 +145,7 @@ def test_runs_are_kept_as_they_end_and_shown_without_running(experiment, run, pr
     assert not list((project / "elsewhere").rglob("checkpoints"))
 
 
+@pytest.mark.slow
 def test_taking_is_done_again_where_it_was_interrupted(experiment, run, project):
     experiment({**CURVES, "seeds": 1, "arms": {"residual RL": ["arm=residual"]}})
     run("some", data="kept")

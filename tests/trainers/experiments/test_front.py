@@ -47,6 +47,7 @@ def driven(project):
     return project
 
 
+@pytest.mark.slow
 def test_a_front_shows_every_arm_and_the_controller(driven, run):
     report, _ = run("front")
     page = report.read_text()

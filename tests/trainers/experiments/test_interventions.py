@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import pytest
+
 from experiment_project import write
 from rrl.trainers.cli.compose import compose as compose_config
 from rrl.trainers.configuration import build
@@ -28,6 +30,7 @@ def test_arms_are_shares_of_a_competent_and_a_clumsy_operator():
     assert len(points) == 7
 
 
+@pytest.mark.slow
 def test_the_report_says_how_many_steps_each_arm_needed(project, run):
     helped = [f"operator={OPERATOR.replace('SHARE', '0.5')}", "trainer.intervention_share=0.25"]
     arms = {"nobody": ["operator=none"], "half": [o.replace("\n", "") for o in helped]}

@@ -259,6 +259,7 @@ def test_a_contract_has_every_number_of_a_part(make, more):
     assert named(make) == {"class": f"{make.func.__module__}.{make.func.__qualname__}", **more}
 
 
+@pytest.mark.slow
 def test_an_earlier_export_is_replaced_and_nothing_else(tmp_path):
     folder = tmp_path / "export"
     export_policy(point(), policy_for(point()), folder, {"trained": {"seed": 1}})

@@ -91,7 +91,7 @@ def assert_same_episodes(factory, policy, onnx, archive, seed=10):
 @pytest.mark.parametrize(
     ("algorithm", "controller"),
     [
-        ("td3-ensemble", "proportional"),
+        pytest.param("td3-ensemble", "proportional", marks=pytest.mark.slow),
         pytest.param("sac", "pid", marks=pytest.mark.slow),
         *(
             pytest.param("td3-ensemble", name, marks=pytest.mark.slow)

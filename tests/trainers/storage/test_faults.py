@@ -108,6 +108,7 @@ def start(*arguments):
     )
 
 
+@pytest.mark.slow
 def test_the_command_prints_how_to_go_on(tmp_path):
     run = tmp_path / "the run"
     quick = [

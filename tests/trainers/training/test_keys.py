@@ -190,6 +190,7 @@ def test_ctrl_c_stays_what_it_is(terminal):
     assert termios.tcgetattr(opened.theirs) == opened.before
 
 
+@pytest.mark.slow
 def test_without_a_terminal_there_are_no_keys(tmp_path):
     shutil.copy(TESTS / "toy_envs.py", tmp_path)
     (tmp_path / "program.py").write_text(PROGRAM.replace('"total_steps": 2000', '"total_steps": 0'))

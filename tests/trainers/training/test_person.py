@@ -174,7 +174,7 @@ def test_an_environment_without_a_state_says_that_it_cannot(make_trainer, caplog
     assert "does not save its state: its next start is another one" in caplog.text
 
 
-@pytest.mark.parametrize("collection", ["turn", "overlap"])
+@pytest.mark.parametrize("collection", ["turn", pytest.param("overlap", marks=pytest.mark.slow)])
 def test_training_robot_and_reset_time_are_counted_apart(make, collection):
     trainer = make(collection=collection, evaluation=EvaluationSettings(every=100, episodes=2))
     trainer.run()

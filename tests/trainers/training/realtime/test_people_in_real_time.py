@@ -49,6 +49,7 @@ def make(make_trainer, factory):
     return make
 
 
+@pytest.mark.slow
 def test_what_an_operator_did_is_stored_and_drawn(make):
     trainer = make(total_steps=400, intervention_share=0.25)
     trainer.run()

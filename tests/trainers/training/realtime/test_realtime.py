@@ -151,7 +151,7 @@ def test_a_late_step_does_as_it_is_told(make, caplog, late):
         assert len(timing["first"].flatten().nonzero()) > 120 / EPISODE_STEPS
 
 
-@pytest.mark.parametrize("weights", ["episode", 5])
+@pytest.mark.parametrize("weights", ["episode", pytest.param(5, marks=pytest.mark.slow)])
 def test_weights_change_where_they_may(make, weights):
     realtime = {"weights": weights, "period": 4 * PERIOD}  # time for the learner to give some
     data = acted(run(make(realtime=realtime, total_steps=200)).run_dir)

@@ -103,6 +103,7 @@ def kill_the_process(trainer):
     wait_for(lambda: not HandOver(trainer.run_dir / "realtime").is_alive())
 
 
+@pytest.mark.slow
 def test_a_process_that_follows_another_explores_as_that_one_would(make):
     trainer = make(total_steps=200, exploration=Counting, **SLOW)
     one_round = trainer._round
@@ -124,6 +125,7 @@ def test_a_process_that_follows_another_explores_as_that_one_would(make):
     assert len(drawn[in_time].unique()) == in_time.sum()
 
 
+@pytest.mark.slow
 def test_a_learner_that_died_in_a_pause_leaves_none_behind(make, tmp_path, caplog):
     def pause(trainer):
         trainer.person.pause()
