@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from tensordict import TensorDictBase
@@ -30,12 +30,13 @@ class BoundedTD0Estimator(TD0Estimator):
         most: Largest possible value of what was seen, a scalar.
     """
 
+    SEEN: ClassVar[tuple[str, ...]] = ("least", "most")
     least: Tensor
     most: Tensor
 
     def __init__(self, **arguments: Any) -> None:
         super().__init__(**arguments)
-        for name in ("least", "most"):
+        for name in self.SEEN:
             self.register_buffer(name, torch.zeros_like(self.gamma))
 
     def value_estimate(
@@ -49,14 +50,11 @@ class BoundedTD0Estimator(TD0Estimator):
     def _bounds(self) -> tuple[Tensor, Tensor]:
         return self.least, self.most
 
-    @torch.no_grad()
     def _see(self, tensordict: TensorDictBase) -> None:
         reward = tensordict.get(("next", self.tensor_keys.reward))
         steps = tensordict.get(self.tensor_keys.steps_to_next_obs, None)
         discount = self.gamma if steps is None else self.gamma ** steps.view_as(reward)
-        low, high = torch.aminmax(reward / (1.0 - discount))
-        self.least.copy_(torch.minimum(self.least, low))
-        self.most.copy_(torch.maximum(self.most, high))
+        _widen(self.least, self.most, reward / (1.0 - discount))
 
 
 class SoftBoundedTD0Estimator(BoundedTD0Estimator):
@@ -70,25 +68,26 @@ class SoftBoundedTD0Estimator(BoundedTD0Estimator):
         most_bonus: Largest bonus seen, a scalar, at least 0.
     """
 
+    SEEN = (*BoundedTD0Estimator.SEEN, "least_bonus", "most_bonus")
     least_bonus: Tensor
     most_bonus: Tensor
 
-    def __init__(self, **arguments: Any) -> None:
-        super().__init__(**arguments)
-        for name in ("least_bonus", "most_bonus"):
-            self.register_buffer(name, torch.zeros_like(self.gamma))
-
-    @torch.no_grad()
     def grant(self, bonus: Tensor) -> None:
         """Widen the bounds by what is added to the value of every next state, of any shape."""
-        low, high = torch.aminmax(bonus)
-        self.least_bonus.copy_(torch.minimum(self.least_bonus, low))
-        self.most_bonus.copy_(torch.maximum(self.most_bonus, high))
+        _widen(self.least_bonus, self.most_bonus, bonus)
 
     def _bounds(self) -> tuple[Tensor, Tensor]:
         following = self.gamma / (1.0 - self.gamma)  # bonuses of all steps but the first
         least, most = super()._bounds()
         return least + following * self.least_bonus, most + following * self.most_bonus
+
+
+@torch.no_grad()
+def _widen(least: Tensor, most: Tensor, values: Tensor) -> None:
+    """Let two scalars, in place, hold the extremes of ``values`` too."""
+    low, high = torch.aminmax(values)
+    least.copy_(torch.minimum(least, low))
+    most.copy_(torch.maximum(most, high))
 
 
 def bound_values(loss: LossModule, kind: type[BoundedTD0Estimator] = BoundedTD0Estimator) -> None:

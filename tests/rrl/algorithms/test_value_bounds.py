@@ -53,6 +53,14 @@ def test_an_episode_that_is_cut_off_does_not_blow_values_up(algorithm, compiled)
     assert float(estimator.most) == 0.0
 
 
+def test_normalized_layers_do_not_extrapolate_so_far():
+    """Why the default has no bounds."""
+    data = an_episode_that_is_cut_off()
+    least = float(data["next", "reward"].min()) / (1 - GAMMA)
+    _, normalized = learned_from(data, algorithm=TD3, layer_norm=True)
+    assert normalized < least**2 / 10
+
+
 @pytest.mark.parametrize("steps", [None, 1, 3])
 @pytest.mark.parametrize("algorithm", [TD3, DDPG, SAC])
 def test_where_targets_are_possible_learning_is_the_same_to_the_bit(algorithm, steps):
