@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import csv
 import json
 import os
 import random
@@ -23,9 +22,12 @@ import tempfile
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
+
+if TYPE_CHECKING:
+    from rrl.trainers.storage.transition_log import TransitionLog
 
 SETTINGS = [
     "env=insertion-sim",
@@ -49,6 +51,9 @@ SETTINGS = [
 ]
 LONGEST_LIFE = 4.0
 """Seconds; a life that is not killed while writing a checkpoint ends at a random moment before."""
+
+MEASURE_TIME = ("clock/", "time/")
+"""Metrics that differ from run to run."""
 
 STRIKE = 0.02
 """Seconds between seeing a checkpoint begin and the kill, at most."""
@@ -120,26 +125,29 @@ def lost_transitions(run_dir: Path) -> int:
     from rrl.trainers.storage.transition_log import TransitionLog
 
     log = TransitionLog(run_dir / "transitions")
-    acknowledged = max((step for step, _, _ in read_metrics(run_dir)), default=0) * 2  # two seeds
+    acknowledged = max((rows[-1][0] for rows in metrics(run_dir).values()), default=0)
     first = min(
         (log._per_segment * int(p.stem[-6:]) for p in log.folder.glob("segment_*.bin")), default=0
     )
     damaged = log.read(first, log.count)[1] if log.count else []
-    return max(0, acknowledged - log.count) + len(damaged)
+    # A kill may fall between setting a tail aside and cutting the metrics down to the checkpoint.
+    held = [log.count, *(ends_at(tail, log) for tail in log.folder.glob("tail_*.bin"))]
+    return max(0, acknowledged - max(held)) + len(damaged)
 
 
-def read_metrics(run_dir: Path) -> dict[tuple[int, str, str], str]:
-    """Metrics that do not measure time, by step, seed and name; a torn last line is left out."""
-    path = run_dir / "metrics.csv"
-    if not path.exists():
+def ends_at(tail: Path, log: TransitionLog) -> int:
+    """The number of the transition behind the last one of a tail that was set aside."""
+    return int(tail.stem.split("_")[1]) + tail.stat().st_size // log._record.itemsize
+
+
+def metrics(run_dir: Path) -> dict[str, list[tuple[int, float]]]:
+    """The metrics that do not measure time; none before there are any."""
+    from rrl.trainers.loggers import read_metrics
+
+    if not (run_dir / "metrics.csv").is_file():
         return {}
-    with path.open(newline="") as file:
-        rows = [row for row in csv.reader(file) if len(row) == 4 and row[0].isdigit()]
-    return {
-        (int(step), seed, name): value
-        for step, seed, name, value in rows
-        if not name.startswith("time/")
-    }
+    rows = read_metrics(run_dir).items()
+    return {name: values for name, values in rows if not name.startswith(MEASURE_TIME) and values}
 
 
 def components(run_dir: Path) -> dict[str, Any]:
@@ -158,7 +166,7 @@ def compare(whole: Path, broken: Path) -> dict[str, bool]:
         if (component := name.partition("-")[2]) != "clock":  # seconds differ from run to run
             same[component] = same_state(state, theirs[name])
     same["transitions"] = transitions(whole) == transitions(broken)
-    same["metrics"] = read_metrics(whole) == read_metrics(broken)
+    same["metrics"] = metrics(whole) == metrics(broken) != {}
     same["transitions made twice"] = all(
         tail_made_again(path) for path in broken.glob("transitions/tail_*.bin")
     )
