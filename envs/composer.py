@@ -15,8 +15,6 @@ from rrl.keys import METRICS, REWARD_TERMS
 
 from .pictures import mujoco_state
 
-__all__ = ["ComposerEnv"]
-
 
 class ComposerEnv(DMControlWrapper):
     """A :class:`dm_control.composer.Environment` with ``batch_size []``.

@@ -16,8 +16,6 @@ from rrl.keys import SUCCESS
 
 from .pictures import mujoco_state
 
-__all__ = ["gymnasium_env"]
-
 Success = str | Callable[[Any], Any]
 
 

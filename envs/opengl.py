@@ -15,8 +15,6 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
-__all__ = ["RenderingUnavailable", "find_backend"]
-
 BACKENDS = ("egl", "osmesa", "glfw")
 _PROBE = """
 import importlib, os, sys

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from .opengl import find_backend
 
-__all__ = ["draw_data", "draw_states", "mujoco_state", "opened", "render_mujoco"]
-
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION.value
 """All that a picture may depend on, bodies moved from outside (mocap) included."""
 

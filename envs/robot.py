@@ -17,8 +17,6 @@ from rrl.keys import ACTION, REWARD
 from rrl.pace import Pace
 from rrl.robot import EntrySpec, Observation, Robot, RobotFault
 
-__all__ = ["RobotEnv"]
-
 log = logging.getLogger(__name__)
 
 FLAGS = ("terminated", "truncated")

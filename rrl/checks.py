@@ -13,18 +13,6 @@ from torchrl.data import Composite
 
 from rrl.keys import INTERVENTION, SAFETY, SO_FAR
 
-__all__ = [
-    "check",
-    "check_keys",
-    "check_length",
-    "check_lengths",
-    "check_share",
-    "check_whole",
-    "missing",
-    "per_dimension",
-    "require",
-]
-
 _OWN = (SAFETY, SO_FAR, INTERVENTION, "_given")
 """Groups of entries that transforms of this package write."""
 

@@ -10,8 +10,6 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor
 
-__all__ = ["Channels", "Input", "channels_of"]
-
 Channels = Literal["first", "last", "none"]
 """Where an image has its channels; ``none``: the entry is no image, but numbers."""
 

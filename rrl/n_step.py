@@ -7,8 +7,6 @@ from tensordict import TensorDictBase
 
 from rrl.checks import check_whole
 
-__all__ = ["STEPS", "n_step_transitions"]
-
 STEPS = "steps_to_next_obs"
 """Steps between an observation and the next one; value estimators raise the discount to it."""
 

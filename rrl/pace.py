@@ -9,8 +9,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-__all__ = ["Pace", "prioritize", "prioritized"]
-
 log = logging.getLogger(__name__)
 
 

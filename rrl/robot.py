@@ -9,8 +9,6 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-__all__ = ["Description", "EntrySpec", "Observation", "Robot", "RobotFault"]
-
 
 class RobotFault(Exception):
     """The robot does not do what it should: it is silent, frozen, or refuses.

@@ -11,8 +11,6 @@ from torch import Tensor
 
 from rrl.keys import leaf
 
-__all__ = ["any_done", "merge", "reset_mask", "shaped_like", "step_mask", "truncate"]
-
 
 def reset_mask(tensordict: TensorDictBase, batch: torch.Size) -> Tensor | None:
     """Return which slots are reset, bool ``[*batch]``, or None for all of them.

@@ -13,8 +13,6 @@ from torchrl.envs import EnvBase, SerialEnv, TransformedEnv
 
 from rrl.checks import check_whole
 
-__all__ = ["Seeded", "SlotGenerators", "seed_env"]
-
 _MAX_DRAWN_SEED = 2**31
 
 

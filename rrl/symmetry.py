@@ -10,8 +10,6 @@ from torch import Tensor
 
 from rrl.keys import ACTION, OBSERVATION
 
-__all__ = ["Symmetry", "as_map"]
-
 Map = tuple[int, ...]
 """A signed permutation: number ``i`` of the image is number ``abs(map[i])`` of the original,
 counted from 1, times the map's sign."""

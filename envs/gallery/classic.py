@@ -15,8 +15,6 @@ from scipy.linalg import solve_discrete_are
 
 from . import packages
 
-__all__ = ["DoublePendulumLQR", "LanderHeuristic", "lander_poses", "render_lander"]
-
 Vector = NDArray[np.floating]
 
 

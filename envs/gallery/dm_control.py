@@ -12,8 +12,6 @@ from torchrl.envs import DMControlEnv
 from ..composer import ComposerEnv
 from ..pictures import mujoco_state
 
-__all__ = ["CartPole", "JacoReach", "Suite", "make_jaco"]
-
 Vector = NDArray[np.floating]
 REACH = "reach_site_features"
 DAMPING = 0.1

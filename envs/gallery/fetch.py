@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from . import packages
 
-__all__ = ["PickAndPlace", "Push", "make"]
-
 Vector = NDArray[np.floating]
 GAIN = 10.0
 """Commands per metre: the arm is told to go where it shall be in one step."""

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from . import packages
 
-__all__ = ["Scripted", "make", "seed"]
-
 OBJECT = (slice(4, 7), slice(22, 25))
 """Where the object's position stands in an observation, now and one step ago [m]."""
 

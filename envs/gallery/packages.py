@@ -10,8 +10,6 @@ from typing import Any
 import mujoco
 import numpy as np
 
-__all__ = ["gymnasium", "gymnasium_robotics", "lunar_lander", "metaworld", "robosuite"]
-
 WELD = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 5.0)
 """What Meta-World writes to a weld constraint: anchor [m], relative pose, torque scale."""
 

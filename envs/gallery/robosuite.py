@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from . import packages
 
-__all__ = ["Lift", "make_lift", "seed", "solved"]
-
 Vector = NDArray[np.floating]
 OBSERVED = ["robot0_eef_pos", "robot0_eef_quat", "robot0_gripper_qpos", "cube_pos", "cube_quat"]
 

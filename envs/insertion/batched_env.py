@@ -21,8 +21,6 @@ from .physics.control import check_action
 from .physics.simulation import BatchSimulation
 from .physics.start import draw_episode
 
-__all__ = ["InsertionEnv"]
-
 ENVS_PER_THREAD = 8
 """Fewer are not worth a thread."""
 

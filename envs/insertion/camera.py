@@ -20,8 +20,6 @@ from .physics.simulation import STATE
 from .physics.start import StartState
 from .render import HIDDEN
 
-__all__ = ["CameraConfig", "TaskCamera", "make_camera_config"]
-
 LAMP = "key"
 """The light that is moved."""
 Floats = NDArray[np.float64]

@@ -20,8 +20,6 @@ from .physics.control import check_action
 from .physics.simulation import STATE, has_diverged
 from .physics.start import StartState, draw_episode
 
-__all__ = ["NAMES", "InsertionEnvironment", "InsertionTask", "load"]
-
 _PREFIX = "insertion-"
 NAMES = tuple(_PREFIX + variant for variant in PRESETS)
 """What :func:`load` takes."""

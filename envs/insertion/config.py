@@ -13,8 +13,6 @@ from pydantic import ConfigDict, Field, ValidationError, model_validator
 from pydantic.dataclasses import dataclass
 from typing_extensions import Self
 
-__all__ = ["NUM_JOINTS", "PRESETS", "InsertionConfig", "explain", "make_config"]
-
 NUM_JOINTS = 7
 Number = Annotated[float, Field(strict=True)]
 Positive = Annotated[float, Field(strict=True, gt=0)]

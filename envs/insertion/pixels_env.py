@@ -14,8 +14,6 @@ from .batched_env import InsertionEnv
 from .camera import STILL, CameraConfig, TaskCamera, Vector, make_camera_config
 from .config import InsertionConfig
 
-__all__ = ["PIXELS", "InsertionPixelsEnv"]
-
 PIXELS = "pixels"
 """The picture's entry."""
 

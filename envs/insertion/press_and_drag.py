@@ -12,8 +12,6 @@ from rrl.checks import check
 from rrl.controllers import StatefulController
 from rrl.controllers.base import State
 
-__all__ = ["PressAndDrag"]
-
 
 class PressAndDrag(StatefulController):
     """Press on one standing block at a time, drag it outwards, then insert.

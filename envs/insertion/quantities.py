@@ -17,8 +17,6 @@ from rrl import keys
 from .config import InsertionConfig
 from .physics.signals import Signals
 
-__all__ = ["METRICS", "OBSERVATIONS", "REWARD_TERMS", "Measurement", "evaluate", "measure"]
-
 
 class Measurement(NamedTuple):
     """What one control step shows of each of B environments; left block first. World frame, SI."""

@@ -15,8 +15,6 @@ from .physics.simulation import STATE
 if TYPE_CHECKING:
     from .batched_env import InsertionEnv
 
-__all__ = ["render_composer", "render_states"]
-
 HIDDEN = (4,)
 """The group of the collision plane."""
 

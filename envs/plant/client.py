@@ -12,8 +12,6 @@ from rrl.robot import Observation, Robot, RobotFault
 
 from .protocol import ADDRESS, from_message, pack, unpack
 
-__all__ = ["RemoteRobot"]
-
 ATTEMPTS, LONGEST = 4, 1.0
 """How often a call without an answer is sent, and after how many seconds at the latest it is sent
 again: a packet may be lost."""

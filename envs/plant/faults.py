@@ -10,8 +10,6 @@ import numpy as np
 
 from .client import RemoteRobot
 
-__all__ = ["KINDS", "Faults", "inject"]
-
 KINDS = ("drop", "delay", "freeze", "nan", "refuse", "die")
 """``drop``: calls are lost; ``delay``: answers come half a second late; ``freeze``: observations
 stand still; ``nan``: measured numbers are none; ``refuse``: resets are refused; ``die``: the

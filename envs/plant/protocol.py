@@ -9,8 +9,6 @@ import numpy as np
 
 from rrl.robot import Description, EntrySpec
 
-__all__ = ["ADDRESS", "from_message", "pack", "to_message", "unpack"]
-
 ADDRESS = "ipc:///tmp/rrl-plant"
 """Where a plant listens if nothing else is said; tcp://HOST:PORT reaches other machines."""
 

@@ -17,8 +17,6 @@ from rrl.robot import Robot, RobotFault
 from .faults import DELAY, Faults
 from .protocol import ADDRESS, pack, to_message, unpack
 
-__all__ = ["serve"]
-
 log = logging.getLogger(__name__)
 
 

@@ -19,8 +19,6 @@ from ..insertion.model.scene import compile_model
 from ..insertion.physics.control import check_action
 from ..insertion.physics.start import StartState, draw_episode
 
-__all__ = ["SimulatedPlant"]
-
 MOST_BEHIND = 0.5
 """Seconds that physics makes up for at once; a process that slept longer has stood still."""
 

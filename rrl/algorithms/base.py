@@ -29,8 +29,6 @@ from rrl.inputs import Input
 from rrl.keys import ACTION, REWARD
 from rrl.symmetry import Symmetry
 
-__all__ = ["Agent"]
-
 
 class Agent(nn.Module, ABC):
     """A learner: actor, critics, a TorchRL loss, target networks, optimizers.

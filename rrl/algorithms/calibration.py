@@ -8,15 +8,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-__all__ = [
-    "VALUE_SPREAD",
-    "derived",
-    "discount",
-    "penalty_updates",
-    "reward_factor",
-    "warmup_length",
-]
-
 VALUE_SPREAD = 10.0
 """How far apart, roughly, the critics' values of good and bad states shall lie."""
 NORMAL = 1.2533

@@ -20,8 +20,6 @@ from torch import Tensor, nn
 from torch.fx import Graph, GraphModule, Node
 from torch.fx.experimental.proxy_tensor import get_proxy_mode, make_fx
 
-__all__ = ["CompiledUpdate", "being_traced", "compiler_problem", "import_compiler"]
-
 log = logging.getLogger(__name__)
 
 Update = Callable[..., dict[str, Tensor]]

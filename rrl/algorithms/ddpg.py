@@ -11,8 +11,6 @@ from torchrl.objectives import DDPGLoss
 from rrl.algorithms.base import Agent
 from rrl.algorithms.precision import single_precision
 
-__all__ = ["DDPG"]
-
 
 class DDPG(Agent):
     """Deep deterministic policy gradient (Lillicrap et al., 2016): what TD3 improves on.

@@ -13,8 +13,6 @@ from torchrl.objectives.common import AUTO_LOSS_MASK_KEYS
 from torchrl.objectives.sac import compute_rsample_log_prob
 from torchrl.objectives.utils import distance_loss
 
-__all__ = ["EnsembleSACLoss", "EnsembleTD3Loss"]
-
 Metrics = dict[str, Tensor]
 PolicyValue = Literal["mean", "first", "least"]
 """What the policy climbs: the mean of all critics (REDQ), the first (TD3), the least (SAC)."""

@@ -6,8 +6,6 @@ import math
 
 from rrl.checks import check
 
-__all__ = ["Multiplier"]
-
 
 class Multiplier:
     """A Lagrange multiplier that finds the price at which a mean keeps to its budget.

@@ -10,8 +10,6 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-__all__ = ["ActingNetwork", "FirstOnly", "Linear", "NetworkFactory", "last_layer", "mlp"]
-
 NetworkFactory = Callable[..., nn.Module]
 """Called with ``in_features`` and ``out_features``."""
 

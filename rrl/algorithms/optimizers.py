@@ -11,9 +11,6 @@ from torch.optim.adam import adam
 
 from rrl.algorithms.compilation import being_traced
 
-__all__ = ["Adam", "OptimizerFactory", "TorchOptimizer"]
-
-
 OptimizerFactory = Callable[..., nn.Module]
 """Called with the parameters and ``lr``; gives a module whose state is saved, and whose ``step``
 takes one gradient per parameter, in their order, and applies one update."""

@@ -7,8 +7,6 @@ from contextlib import contextmanager
 
 import torch
 
-__all__ = ["single_precision"]
-
 
 @contextmanager
 def single_precision() -> Iterator[None]:

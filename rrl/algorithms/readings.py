@@ -14,8 +14,6 @@ from rrl.encoders.interface import EncoderFactory, Inputs
 from rrl.inputs import Input
 from rrl.keys import CRITIC_OBSERVATION, OBSERVATION
 
-__all__ = ["Reading", "Readings", "with_shapes"]
-
 
 def with_shapes(inputs: Mapping[NestedKey, Input | int] | None) -> dict[NestedKey, Input]:
     """Return inputs; a number stands for a vector of that size."""

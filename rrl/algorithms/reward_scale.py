@@ -11,8 +11,6 @@ from torch import Tensor, nn
 from rrl.algorithms.calibration import reward_factor
 from rrl.n_step import STEPS
 
-__all__ = ["RewardScale"]
-
 GROWTH = 1.25
 """Rewards that have grown by this factor are scaled anew."""
 

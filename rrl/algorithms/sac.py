@@ -29,8 +29,6 @@ from rrl.algorithms.td3 import EnsembleSettings
 from rrl.algorithms.value_bounds import BoundedTD0Estimator, SoftBoundedTD0Estimator
 from rrl.keys import ACTION
 
-__all__ = ["SAC", "SACSettings", "no_exploration"]
-
 LOG_STD_RANGE = (-5.0, 2.0)
 DISTRIBUTION_KEYS = {"loc": "_loc", "scale": "_scale"}
 

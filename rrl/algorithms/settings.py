@@ -9,8 +9,6 @@ from rrl.algorithms.optimizers import Adam, OptimizerFactory
 from rrl.encoders import automatic
 from rrl.encoders.interface import EncoderFactory
 
-__all__ = ["AgentSettings"]
-
 
 class AgentSettings(BaseModel):
     """Hyperparameters that all algorithms have.

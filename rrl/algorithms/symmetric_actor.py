@@ -7,8 +7,6 @@ from torch import Tensor, nn
 
 from rrl.symmetry import Symmetry
 
-__all__ = ["SymmetricActor"]
-
 
 class SymmetricActor(nn.Module):
     """The mean over all mirror images of what an actor gives.

@@ -15,8 +15,6 @@ from rrl.algorithms.ensemble import EnsembleTD3Loss
 from rrl.algorithms.precision import single_precision
 from rrl.algorithms.settings import AgentSettings
 
-__all__ = ["TD3", "EnsembleSettings", "TD3Settings"]
-
 
 class EnsembleSettings(AgentSettings):
     """Hyperparameters of algorithms with any number of critics.

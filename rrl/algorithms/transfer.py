@@ -11,8 +11,6 @@ from torch import Tensor
 if TYPE_CHECKING:
     from rrl.algorithms.base import Agent
 
-__all__ = ["take_over", "twin"]
-
 
 @torch.no_grad()
 def take_over(agent: Agent, other: Agent) -> None:

@@ -13,8 +13,6 @@ from torch import Tensor, nn
 
 from rrl.algorithms.compilation import CompiledUpdate, compiler_problem
 
-__all__ = ["UPDATES_PER_GRAPH", "Kind", "Updates"]
-
 UPDATES_PER_GRAPH = 4
 """At most: every further one saves less time in a call and takes as long to compile."""
 

@@ -10,8 +10,6 @@ from torch import Tensor
 from torchrl.objectives import LossModule
 from torchrl.objectives.value import TD0Estimator
 
-__all__ = ["BoundedTD0Estimator", "SoftBoundedTD0Estimator", "bound_values"]
-
 
 class BoundedTD0Estimator(TD0Estimator):
     """TorchRL's TD(0) target, kept within what the rewards seen so far can add up to.

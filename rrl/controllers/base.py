@@ -16,8 +16,6 @@ from rrl.checks import missing, require
 from rrl.keys import BASE_ACTION
 from rrl.slot_masks import merge
 
-__all__ = ["Controller", "State", "StatefulController", "clipped"]
-
 State = dict[str, Any]
 """Tensors ``[*batch, ...]`` by name; dictionaries may nest."""
 

@@ -17,8 +17,6 @@ from rrl.controllers.base import State, StatefulController
 from rrl.controllers.plain_memory import check_memory, remember, remembered
 from rrl.keys import BASE_ACTION
 
-__all__ = ["FunctionController"]
-
 
 class FunctionController(StatefulController):
     """A function of observations, or an object that remembers, as the controller.

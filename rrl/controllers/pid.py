@@ -13,8 +13,6 @@ from rrl.controllers.base import State, StatefulController, clipped
 from rrl.controllers.proportional import ProportionalController
 from rrl.keys import BASE_ACTION
 
-__all__ = ["PIDController"]
-
 
 class PIDController(ProportionalController, StatefulController):
     """Cartesian PID control.

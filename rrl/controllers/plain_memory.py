@@ -12,8 +12,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-__all__ = ["check_memory", "remember", "remembered"]
-
 _DEQUE, _GENERATOR = "__deque__", "__generator__"
 _LEAVES = (type(None), bool, int, float, str, bytes, torch.Size)
 _SHARED = (FunctionType, ModuleType, type, np.ufunc)

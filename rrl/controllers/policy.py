@@ -16,8 +16,6 @@ from rrl.checks import require
 from rrl.controllers.base import Controller
 from rrl.keys import ACTION, BASE_ACTION
 
-__all__ = ["PolicyController"]
-
 
 class PolicyController(Controller):
     """Any TensorDict module as the controller: frozen, closed loop.

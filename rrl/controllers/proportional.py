@@ -11,8 +11,6 @@ from rrl.checks import check_length, check_lengths, per_dimension
 from rrl.controllers.base import Controller, clipped
 from rrl.keys import BASE_ACTION
 
-__all__ = ["ProportionalController"]
-
 
 class ProportionalController(Controller):
     """Proportional Cartesian control, u = clip(K (x_g - x) / unit) (section V: "P-controller").

@@ -12,8 +12,6 @@ from rrl.checks import check
 from rrl.controllers.base import State, StatefulController
 from rrl.keys import BASE_ACTION
 
-__all__ = ["ReplayController"]
-
 
 class ReplayController(StatefulController):
     """A sequence of actions played open loop, from its start in every episode.

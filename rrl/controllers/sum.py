@@ -11,8 +11,6 @@ from rrl.checks import check, per_dimension
 from rrl.controllers.base import Controller, clipped
 from rrl.keys import BASE_ACTION
 
-__all__ = ["SumController"]
-
 
 class SumController(Controller):
     """A weighted and clipped sum of controllers, u = clip(sum_i w_i u_i).

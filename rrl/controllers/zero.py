@@ -10,8 +10,6 @@ from rrl.checks import check_whole
 from rrl.controllers.base import Controller
 from rrl.keys import BASE_ACTION
 
-__all__ = ["ZeroController"]
-
 
 class ZeroController(Controller):
     """A controller that does nothing: the policy is alone (the paper's baseline "RL only").

@@ -11,8 +11,6 @@ import torch
 from rrl.deploy.contract import ARCHIVE, read_contract
 from rrl.deploy.policy import Arrays, Graph
 
-__all__ = ["torch_graph"]
-
 
 def torch_graph(folder: str | Path) -> Graph:
     """Load ``policy.pt2``, for ``Policy(folder, rate, graph=torch_graph(folder))``."""

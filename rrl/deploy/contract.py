@@ -23,21 +23,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "ARCHIVE",
-    "COMMAND",
-    "CONTRACT",
-    "FORMAT",
-    "MODEL",
-    "Contract",
-    "Entry",
-    "digest",
-    "fingerprint",
-    "graph_inputs",
-    "graph_outputs",
-    "read_contract",
-]
-
 FORMAT = 1
 CONTRACT, MODEL, ARCHIVE = "contract.json", "policy.onnx", "policy.pt2"
 COMMAND = "command"

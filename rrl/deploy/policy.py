@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from rrl.deploy.contract import COMMAND, MODEL, Contract, Entry, read_contract
 
-__all__ = ["Arrays", "Graph", "Policy", "onnx_graph"]
-
 Arrays = Mapping[str, NDArray[Any]]
 Graph = Callable[[Arrays], Arrays]
 """From inputs to outputs, by the names of the contract."""

@@ -8,8 +8,6 @@ from torch import Tensor, nn
 
 from rrl.encoders.interface import Inputs
 
-__all__ = ["Concatenate", "standardization"]
-
 LEAST_SPREAD = 0.05
 """A number that hardly moves counts as if it moved by this share of its entry's mean spread."""
 FEATURE_LIMIT = 10.0

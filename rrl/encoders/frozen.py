@@ -10,8 +10,6 @@ from torch import Tensor, nn
 from rrl.encoders.images import ImagesBesideNumbers, as_channels_first
 from rrl.encoders.interface import Inputs
 
-__all__ = ["FrozenEncoder"]
-
 
 class FrozenEncoder(ImagesBesideNumbers):
     """A pretrained network for the images of all cameras, which nothing here changes.

@@ -14,8 +14,6 @@ from rrl.encoders.concatenate import Concatenate
 from rrl.encoders.interface import Inputs
 from rrl.inputs import Input
 
-__all__ = ["ImagesBesideNumbers", "as_channels_first"]
-
 
 class ImagesBesideNumbers(nn.Module):
     """Features of each image, one after the other, and after them the normalized numbers.

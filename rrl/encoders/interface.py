@@ -9,8 +9,6 @@ from torch import nn
 
 from rrl.inputs import Input
 
-__all__ = ["EncoderFactory", "Inputs"]
-
 Inputs = Mapping[NestedKey, Input]
 
 EncoderFactory = Callable[[Inputs], nn.Module]

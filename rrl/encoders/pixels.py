@@ -12,8 +12,6 @@ from rrl.encoders.images import ImagesBesideNumbers, as_channels_first
 from rrl.encoders.interface import Inputs
 from rrl.inputs import Input
 
-__all__ = ["PixelEncoder", "automatic", "random_shift"]
-
 
 class PixelEncoder(ImagesBesideNumbers):
     """A convolutional network for each camera, learned with the critics; numbers stand beside.

@@ -15,8 +15,6 @@ from rrl.keys import OPERATOR_ACTION, TAKEN_OVER
 from rrl.slot_masks import shaped_like
 from rrl.slot_random import Seeded, SlotGenerators
 
-__all__ = ["ScriptedOperator"]
-
 
 class ScriptedOperator(Seeded, StatefulController):
     """A controller that takes over in some of the episodes, from their first step on.

@@ -13,8 +13,6 @@ from rrl.checks import check_share, require
 from rrl.keys import ACTION, EXCEEDS_AUTHORITY, INTERVENED, INTERVENTION
 from rrl.transforms.base import sibling
 
-__all__ = ["InterventionSampler", "relabel_interventions"]
-
 
 def relabel_interventions(data: TensorDictBase, action_key: NestedKey = ACTION) -> TensorDictBase:
     """Put an operator's residual in the place of the policy's action, where one has taken over.

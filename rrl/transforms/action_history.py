@@ -10,8 +10,6 @@ from rrl.checks import check_whole, require
 from rrl.keys import ACTION, INTERVENTION, PREVIOUS_ACTION
 from rrl.transforms.base import ActionTransform, Mask, Memory, SlotTransform, sibling
 
-__all__ = ["ActionHistory"]
-
 
 class ActionHistory(ActionTransform):
     """An observation of the policy's actions in the last steps.

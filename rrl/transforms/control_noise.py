@@ -21,8 +21,6 @@ from rrl.transforms.base import (
     sibling,
 )
 
-__all__ = ["ControlNoise"]
-
 
 class ControlNoise(ActionTransform, RandomTransform):
     r"""Bias and noise on the action that reaches the environment.

@@ -14,8 +14,6 @@ from rrl.keys import SO_FAR, leaf
 from rrl.slot_masks import any_done, merge
 from rrl.transforms.base import Mask, Memory, SlotTransform
 
-__all__ = ["REDUCTIONS", "EpisodeValue"]
-
 REDUCTIONS: Mapping[str, Callable[[Tensor, Tensor], Tensor]] = {
     "max": torch.maximum,
     "min": torch.minimum,

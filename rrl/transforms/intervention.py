@@ -19,8 +19,6 @@ from rrl.slot_masks import merge, shaped_like, step_mask
 from rrl.transforms.base import ActionLimits, ActionTransform, Mask, Memory, share_within, sibling
 from rrl.transforms.residual_action import ResidualAction
 
-__all__ = ["Intervention"]
-
 log = logging.getLogger(__name__)
 
 ROUNDING = 1e-6

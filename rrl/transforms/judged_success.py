@@ -9,8 +9,6 @@ from torchrl.data import Binary, Composite
 from rrl.keys import SUCCESS
 from rrl.transforms.base import Mask, Memory, SlotTransform
 
-__all__ = ["JudgedSuccess"]
-
 
 class JudgedSuccess(SlotTransform):
     """An entry for success, False until somebody judges the episode.

@@ -18,8 +18,6 @@ from rrl.controllers.policy import PolicyController
 from rrl.keys import ACTION, BASE_ACTION
 from rrl.transforms.base import ActionLimits, ActionTransform, Mask, Memory, sibling
 
-__all__ = ["ResidualAction"]
-
 _REMEDY = "; reset() and step() write it: give step() what they return, not an action alone"
 
 

@@ -27,8 +27,6 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 from ..errors import place
 from ..storage.run_files import CONFIG_FILE, PLAIN_NAME
 
-__all__ = ["CONFIGS", "Composed", "compose", "compose_train", "plain_name", "through_hydra"]
-
 CONFIGS = "configs"
 """The folder in the working directory whose files come before ours."""
 OURS = Path(__file__).parents[2] / CONFIGS

@@ -23,8 +23,6 @@ from ..storage.run_files import VIDEOS, seed_directories
 from ..training.progress import Progress
 from ..training.run_policy import RunPolicy
 
-__all__ = ["evaluate", "film", "film_run", "load", "only_said", "render"]
-
 
 def evaluate(config: assembly.Config, run_dir: Path, console: Output) -> None:
     """Evaluate the newest checkpoint of a run, or of every seed, on every scenario."""

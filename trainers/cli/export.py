@@ -13,8 +13,6 @@ from ..pretrained import TrainedRun, best_run
 from ..storage.run_files import EXPORT, RESULTS, VERSIONS
 from .evaluate import load
 
-__all__ = ["export"]
-
 
 def export(config: assembly.Config, run_dir: Path, console: Output) -> None:
     """Write the policy of a run, or of the best seed, with everything around it."""

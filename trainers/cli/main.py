@@ -20,8 +20,6 @@ from ..storage.run_files import CONFIG_FILE, LOG, REPORT
 if TYPE_CHECKING:
     from .compose import Composed
 
-__all__ = ["COMMANDS", "main"]
-
 USAGE = """usage: rrl COMMAND [key=value ...]
 
   rrl train [key=value ...]             train on the configuration, end with table, curve and video

@@ -20,8 +20,6 @@ from ..storage.run_files import CHECKPOINTS, CONFIG_FILE, REPORT, seed_directori
 from ..storage.same_run import require_same_run
 from .evaluate import film_run, only_said
 
-__all__ = ["train_seeds"]
-
 
 def train_seeds(config: assembly.Config, run_dir: Path, console: Output, *, resume: bool) -> None:
     """Train ``trainer.num_seeds`` runs ``seed-<n>`` below ``run_dir``, what is missing of them.

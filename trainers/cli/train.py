@@ -33,8 +33,6 @@ from ..training.trainer import Trainer
 from .evaluate import film, only_said
 from .seeds import train_seeds
 
-__all__ = ["train"]
-
 MEDIA = (".png", ".mp4", ".gif")
 
 

@@ -8,8 +8,6 @@ import sys
 import threading
 import time
 
-__all__ = ["follow_parent", "run"]
-
 LOOK_SECONDS = 0.5
 
 

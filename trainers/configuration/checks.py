@@ -19,8 +19,6 @@ from ..storage.versions import missing
 from .schema import Schema, explain
 from .target_checks import Config, Problems, check_targets, entries
 
-__all__ = ["problems"]
-
 
 def problems(config: Config, *, training: bool = False) -> list[str]:
     """Return everything that is wrong, one line each: where, what was expected, what came.

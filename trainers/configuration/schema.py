@@ -15,8 +15,6 @@ from ..metric import Metric
 from ..settings import Positive, TrainerSettings
 from ..storage.run_files import PLAIN_NAME
 
-__all__ = ["PlainName", "Schema", "Target", "explain"]
-
 PlainName = Annotated[str, Field(pattern=f"^{PLAIN_NAME}$")]
 """A directory or file of that name stays where it is put."""
 Target = dict[str, Any]

@@ -15,8 +15,6 @@ from ..errors import place
 from ..training.factories import build, locate
 from .schema import Target, explain
 
-__all__ = ["Config", "Problems", "check_targets", "entries"]
-
 Config = Mapping[str, Any]
 Problems = Iterator[str]
 

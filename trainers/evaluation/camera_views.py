@@ -13,8 +13,6 @@ from tensordict import TensorDictBase
 from rrl.encoders.images import as_channels_first
 from rrl.inputs import Input
 
-__all__ = ["beside", "camera_views"]
-
 Picture = NDArray[np.uint8]
 BACKGROUND = 90
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["ACCEPTED", "CONTROLLER"]
-
 CONTROLLER = "controller_"
 """Prefix of the entries of the controller alone."""
 ACCEPTED = "accepted_"

@@ -19,8 +19,6 @@ from ..storage.files import write_atomically
 from .entries import ACCEPTED, CONTROLLER
 from .statistics import fisher, mcnemar, wilson
 
-__all__ = ["Comparison", "Episodes", "write_results"]
-
 
 @dataclass(frozen=True)
 class Episodes:

@@ -17,8 +17,6 @@ from .episodes import Comparison, Episodes
 from .frozen import FEW, NOT_FROZEN, replay_difference
 from .rollout import run_episodes, zero_residual
 
-__all__ = ["Evaluator"]
-
 log = logging.getLogger(__name__)
 
 

@@ -13,8 +13,6 @@ from torchrl.envs import EnvBase
 
 from .rollout import isolated_generators, rollout, whole
 
-__all__ = ["FEW", "NOT_FROZEN", "replay_difference"]
-
 FEW = 3
 """How many episodes are played twice."""
 NOT_FROZEN = (

@@ -27,8 +27,6 @@ from ..requests import stand_still
 from ..resumable_env import ResumableEnv
 from .episodes import Episodes
 
-__all__ = ["isolated_generators", "rollout", "run_episodes", "whole", "zero_residual"]
-
 log = logging.getLogger(__name__)
 
 T = TypeVar("T")

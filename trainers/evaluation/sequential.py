@@ -16,8 +16,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ErrorBudget", "NotWorseTest"]
-
 BETS = 0.999 * np.array([0.25, 0.5, 0.75, 1.0])
 """Shares of the largest bet that cannot ruin; the wealth is the mean over one gambler each."""
 FUTILITY = 0.2

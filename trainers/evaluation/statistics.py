@@ -14,20 +14,6 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.special import gammaln
 
-__all__ = [
-    "NO_INTERVAL",
-    "Interval",
-    "fisher",
-    "iqm",
-    "iqm_interval",
-    "mcnemar",
-    "mean_interval",
-    "paired_interval",
-    "success_interval",
-    "unpaired_interval",
-    "wilson",
-]
-
 Interval = tuple[float, float]
 Values: TypeAlias = "Sequence[float] | NDArray[Any]"
 

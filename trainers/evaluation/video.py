@@ -21,8 +21,6 @@ from ..environment import EnvironmentFactory, Input
 from .camera_views import beside, camera_views
 from .rollout import isolated_generators, rollout, zero_residual
 
-__all__ = ["Recording", "Renderer", "record", "render_comparison"]
-
 Renderer = Callable[..., np.ndarray]
 """``renderer(base_env, states, width=..., height=...)`` gives uint8 frames ``[T, h, w, 3]``."""
 

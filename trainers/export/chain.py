@@ -20,8 +20,6 @@ from rrl.transforms.base import SlotTransform
 from ..environment import EnvironmentFactory
 from .specs_only import SpecsOnly, chain_on
 
-__all__ = ["RESIDUAL", "Chain", "StaysOutside", "Values"]
-
 Values = dict[str, Tensor]
 """Tensors without batch dimensions, by name."""
 

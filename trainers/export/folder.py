@@ -30,8 +30,6 @@ from .chain import Chain, StaysOutside
 from .rehearsal import Rehearsal
 from .traced import trace
 
-__all__ = ["TOLERANCE", "export_policy", "require_tools"]
-
 TOLERANCE = 1e-4
 """Largest difference from the trainer's commands, in half ranges of the action. Rounding in float32
 comes to less, and a graph that is wrong to far more."""

@@ -26,8 +26,6 @@ from ..environment import EnvironmentFactory
 from .specs_only import SpecsOnly, chain_on
 from .traced import Traced
 
-__all__ = ["Rehearsal"]
-
 EPISODES, STEPS = 3, 12
 SIZES = (0.1, 1.0, 3.0)
 """How far from their centers entries lie, in their scales."""

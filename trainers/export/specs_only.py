@@ -17,8 +17,6 @@ from rrl.transforms.base import RandomTransform
 from ..environment import EnvironmentFactory
 from ..resumable_env import ResumableEnv
 
-__all__ = ["SpecsOnly", "chain_on"]
-
 
 class SpecsOnly(EnvBase):
     """The specs of an environment without what is behind them.

@@ -20,8 +20,6 @@ from rrl.deploy.contract import ARCHIVE, COMMAND, MODEL, graph_inputs, graph_out
 from .chain import Chain, Values
 from .portable import PORTABLE
 
-__all__ = ["Traced", "trace"]
-
 SHAPE_ALONE = {"zeros_like", "ones_like", "full_like", "empty_like"}
 """Operations that read nothing of a tensor but its shape."""
 

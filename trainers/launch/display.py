@@ -22,8 +22,6 @@ from ..loggers.csv_file import whole_rows
 from ..storage.run_files import METRICS
 from .job import Job
 
-__all__ = ["Display", "latest"]
-
 TAIL_BYTES = 2**16
 SPEED_SECONDS = 600.0
 """Time left is judged by the speed of this long."""

@@ -13,8 +13,6 @@ from ..storage.files import write_atomically
 from ..storage.run_files import CONFIG_FILE, LOG, RESULTS
 from ..storage.same_run import measured_settings
 
-__all__ = ["Job", "one_seed", "write_config"]
-
 
 @dataclass(frozen=True)
 class Job:

@@ -13,8 +13,6 @@ from typing import Any
 
 from rrl.threads import cores
 
-__all__ = ["GRACE_SECONDS", "POLL_SECONDS", "Handle", "Launcher", "make", "spawn"]
-
 POLL_SECONDS = 0.2
 GRACE_SECONDS = 120.0
 """How long a run that is asked to stop may take to finish its round and save."""

@@ -14,8 +14,6 @@ from .display import Display
 from .job import Job
 from .launchers import GRACE_SECONDS, POLL_SECONDS, Handle, make
 
-__all__ = ["Ending", "launch", "require_all"]
-
 
 @dataclass
 class Ending:

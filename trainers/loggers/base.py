@@ -12,8 +12,6 @@ from typing import Any
 
 from .metrics import Values
 
-__all__ = ["Guarded", "MetricsLogger", "Rows"]
-
 _log = logging.getLogger(__name__)
 
 Rows = Sequence[Sequence[Any]]

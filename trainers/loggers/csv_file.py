@@ -15,8 +15,6 @@ from ..storage.run_files import METRICS
 from .base import MetricsLogger
 from .metrics import STEP_AXIS, Values
 
-__all__ = ["CSVLogger", "read_metrics", "whole_rows"]
-
 Row = tuple[int, str, float]
 
 

@@ -4,27 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-__all__ = [
-    "ACCEPTANCE",
-    "ACTION",
-    "CLOCK",
-    "CONSTRAINT",
-    "EVALUATION",
-    "FINAL",
-    "INTERVENTION",
-    "LOSS",
-    "REALTIME",
-    "SAFETY",
-    "STEP_AXIS",
-    "TIME",
-    "TRAIN",
-    "WHOLE_SECTIONS",
-    "Values",
-    "clock",
-    "evaluation",
-    "name",
-]
-
 STEP_AXIS = "env_steps"
 """Environment steps: the common horizontal axis."""
 

@@ -9,8 +9,6 @@ from typing import Any
 from .base import MetricsLogger
 from .metrics import Values
 
-__all__ = ["TensorBoardLogger"]
-
 
 class TensorBoardLogger(MetricsLogger):
     """Event files under ``tensorboard/``."""

@@ -15,8 +15,6 @@ from ..storage.versions import versions
 from .base import MetricsLogger, Rows
 from .metrics import STEP_AXIS, Values
 
-__all__ = ["WandbLogger"]
-
 _log = logging.getLogger(__name__)
 
 _IGNORED = ("DIR", "JOB_TYPE", "NAME", "PROJECT", "RUN_GROUP", "RUN_ID", "TAGS")

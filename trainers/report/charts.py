@@ -14,8 +14,6 @@ from .curves import Curve, Floats, controllers, view
 from .panels import Panel
 from .runs import Group
 
-__all__ = ["curves", "time_split"]
-
 COLORS = ("#2f7fc1", "#d9622b", "#3a9d6a", "#9467bd", "#c59a1a", "#c2508b", "#4fa3a5", "#8c6d5a")
 """Readable on white and on black; the first ones differ for the color-blind."""
 CONTROLLER_COLOR = "#8a929c"

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from ..evaluation.statistics import NO_INTERVAL, Interval, mean_interval, success_interval
 
-__all__ = ["ALONE", "ANY", "Curve", "Floats", "Series", "alike", "controllers", "curve", "view"]
-
 T = TypeVar("T")
 
 Floats = NDArray[np.float64]

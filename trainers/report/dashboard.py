@@ -15,8 +15,6 @@ from .panels import CHANGES, FOLLOWED, LEARNING, SHARES, Panel
 if TYPE_CHECKING:
     from wandb_workspaces.workspaces import Section, Workspace
 
-__all__ = ["build", "line_plot"]
-
 GROUPS = {
     "Learning": LEARNING,
     "Rescues and regressions": CHANGES,

@@ -12,8 +12,6 @@ from .curves import ALONE, Curve, Floats
 from .panels import LEARNING, Panel
 from .runs import Group
 
-__all__ = ["ACCEPTED_COLOR", "CONTROLLER_COLOR", "RESIDUAL_COLOR", "draw_mean", "learning_curve"]
-
 RESIDUAL_COLOR, CONTROLLER_COLOR = "#1b6ca8", "#c1440e"
 ACCEPTED_COLOR = "#222222"
 

@@ -7,8 +7,6 @@ from pathlib import Path
 
 from ..storage.files import write_atomically
 
-__all__ = ["MarkdownPage", "markdown_table"]
-
 
 class MarkdownPage:
     """Headings, text, tables and pictures in reading order, written as one Markdown file.

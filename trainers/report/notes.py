@@ -13,8 +13,6 @@ from ..evaluation.entries import ACCEPTED
 from .panels import Declared
 from .runs import Record
 
-__all__ = ["NOTE", "Results", "is_frozen", "notes"]
-
 Results = Mapping[str, Sequence[Record]]
 """Scenario to the records of the runs that are shown as one."""
 

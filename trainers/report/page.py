@@ -16,8 +16,6 @@ from ..storage.files import write_atomically
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-__all__ = ["Page"]
-
 
 class Page:
     """Blocks in reading order, written as one HTML file.

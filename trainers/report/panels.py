@@ -13,20 +13,6 @@ from ..loggers import metrics
 from ..metric_names import ABOVE, P99, is_share
 from .curves import ANY
 
-__all__ = [
-    "CHANGES",
-    "FOLLOWED",
-    "LEARNING",
-    "LENGTH",
-    "SHARES",
-    "Declared",
-    "Panel",
-    "agreed",
-    "logged",
-    "quantities",
-    "quantity_title",
-]
-
 Declared = Mapping[str, Mapping[str, Any]]
 """What an environment says of its quantities, by name: ``unit``, ``budget``, ``limit``."""
 

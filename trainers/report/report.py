@@ -16,8 +16,6 @@ from .page import Page
 from .panels import Panel
 from .runs import Group, Record, Run, group_runs
 
-__all__ = ["write_report"]
-
 OVERVIEW = ("run", "arm", "environment", "algorithm", "disturbance", "seeds", "steps", "directory")
 CAPTIONS = {
     "Learning": "Followed episodes during training, scenario {followed}. Thick lines are means "

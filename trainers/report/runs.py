@@ -20,8 +20,6 @@ from ..storage.same_run import SEEDS, measured_settings
 from .curves import Curve, curve
 from .panels import FOLLOWED, Declared
 
-__all__ = ["Group", "Record", "Run", "find_runs", "group_runs"]
-
 log = logging.getLogger(__name__)
 
 Record = Mapping[str, Mapping[str, Any]]

@@ -31,23 +31,6 @@ from .runs import Record, Run
 if TYPE_CHECKING:  # without torch a report of finished runs is quick
     from ..evaluation.episodes import Comparison
 
-__all__ = [
-    "COLUMNS",
-    "EPISODE_COLUMNS",
-    "episode_rows",
-    "gain",
-    "handed_over",
-    "markdown_tables",
-    "most_rescued",
-    "one_run",
-    "quantity_rows",
-    "rescued",
-    "success_cells",
-    "success_rows",
-    "terminal_tables",
-    "with_interval",
-]
-
 COLUMNS = ("scenario", "controller", "residual", "gain", "rescued", "broken")
 EPISODE_COLUMNS = ("scenario", "episode", "outcome", "entry", "controller", "residual")
 HANDED_OVER = ", handed over"

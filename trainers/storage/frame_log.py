@@ -34,8 +34,6 @@ from tensordict import TensorDict
 from .files import cut_files, number_of, sync, write_at, write_atomically, write_tail
 from .transition_log import TransitionLog
 
-__all__ = ["FrameLog", "Frames"]
-
 Frames = NDArray[np.uint8]
 """``[n, C, H, W]``."""
 

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-__all__ = ["FrameMemory"]
-
 BLOCK = 1024
 """Frames of a piece of memory: what is taken at once, and given back."""
 

@@ -6,8 +6,6 @@ from collections.abc import Collection
 
 from tensordict import TensorDictBase
 
-__all__ = ["named", "put_neighbors"]
-
 NAMED = 5
 
 

@@ -10,8 +10,6 @@ import torch
 from tensordict import NestedKey, TensorDictBase, is_leaf_nontensor
 from torch import Tensor
 
-__all__ = ["from_entries", "from_plain", "to_entries", "to_plain"]
-
 _NUMPY = "__numpy__"
 Entries = list[tuple[NestedKey, Any]]
 

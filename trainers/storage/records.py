@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from tensordict import NestedKey, TensorDictBase
 
-__all__ = ["CHECKSUM", "Records", "columns", "pack", "raw", "record_dtype"]
-
 CHECKSUM = "crc32"
 
 Records = NDArray[np.void]

@@ -20,8 +20,6 @@ from .neighbors import named, put_neighbors
 from .stored_images import StoredImages
 from .transition_log import FOLDER, TransitionLog
 
-__all__ = ["ReplayStore", "as_stored", "stored_keys"]
-
 log = logging.getLogger(__name__)
 
 CHUNK = 2**16

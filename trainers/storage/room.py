@@ -8,8 +8,6 @@ from pathlib import Path
 
 import torch
 
-__all__ = ["memory_bytes", "require_room"]
-
 UNITS = {1e3: "kB", 1e6: "MB", 1e9: "GB"}
 CGROUP = Path("/sys/fs/cgroup/memory.max")
 """Where a container's own limit stands."""

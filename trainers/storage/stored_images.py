@@ -15,8 +15,6 @@ from rrl.inputs import channels_of
 from .frame_log import FrameLog
 from .frame_memory import FrameMemory
 
-__all__ = ["StoredImages"]
-
 Recent = list[dict[bytes, int]]
 """Of each environment the frames that it showed last, and their numbers."""
 

@@ -20,8 +20,6 @@ from ..seeds import Stream, first_seed
 from ..settings import TrainerSettings
 from .run_policy import RunPolicy
 
-__all__ = ["Acceptance"]
-
 SIDE_BY_SIDE = 20
 """Episodes of a batch between two looks: a much better policy needs no more."""
 

@@ -36,8 +36,6 @@ from .policy_vector import assign, flatten
 from .profiling import as_background
 from .torch_setup import configure_torch
 
-__all__ = ["InBackground"]
-
 CLOSE_SECONDS = 10.0
 """How long the process gets to close its environment before it is ended."""
 

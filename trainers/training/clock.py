@@ -6,8 +6,6 @@ from collections.abc import Callable, Mapping
 
 from ..loggers import metrics
 
-__all__ = ["Clock", "Counters"]
-
 PARTS = ("training", "robot", "reset")
 
 

@@ -15,8 +15,6 @@ from .collection import Collection, InTurn
 from .interface import Exploration
 from .realtime.collection import RealTime
 
-__all__ = ["closed_if_it_fails", "make_collection"]
-
 log = logging.getLogger(__name__)
 
 

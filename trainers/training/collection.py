@@ -25,8 +25,6 @@ from .interface import Annealing, Exploration, Interface, prepare
 from .profiling import measured, watch_collection
 from .torchrl_collector import Collector
 
-__all__ = ["Collection", "InTurn"]
-
 Metrics = dict[str, float]
 
 

@@ -14,8 +14,6 @@ from rrl.transforms import ResidualAction
 
 from ..loggers import metrics
 
-__all__ = ["Authority", "EpisodeReturns", "collection_metrics"]
-
 
 class EpisodeReturns:
     """Undiscounted returns of the exploring policy's episodes, which may span collections.

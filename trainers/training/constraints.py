@@ -17,8 +17,6 @@ from ..loggers import metrics as names
 from ..metric import Metric
 from ..settings import ConstraintSettings
 
-__all__ = ["Constraints", "budgets"]
-
 
 def budgets(metrics: Mapping[str, Metric], settings: ConstraintSettings | None) -> dict[str, float]:
     """Return the budgets that a learner keeps to, by the quantity's name."""

@@ -20,8 +20,6 @@ from ..resumable_env import ResumableEnv
 from ..storage.plain_state import from_entries, to_entries
 from .torchrl_collector import Collector
 
-__all__ = ["EpisodeInProgress", "goes_on_from_its_state"]
-
 log = logging.getLogger(__name__)
 
 

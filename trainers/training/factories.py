@@ -12,8 +12,6 @@ from rrl.algorithms import Agent
 from ..defaults import default_config
 from ..environment import EnvironmentFactory
 
-__all__ = ["agent_factory", "build", "default_agent", "default_exploration", "locate"]
-
 
 def locate(path: Any) -> Any:
     """Import ``package.module.name``.

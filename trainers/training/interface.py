@@ -24,8 +24,6 @@ from ..storage.replay_store import as_stored
 from .constraints import budgets
 from .realtime.records import record_bytes
 
-__all__ = ["Annealing", "Exploration", "Interface", "interface_of", "prepare"]
-
 Exploration = Callable[..., TensorDictModuleBase | None]
 """Makes TorchRL's exploration module, or None where the policy explores by itself; called with
 ``spec``."""

@@ -14,8 +14,6 @@ from contextlib import contextmanager, suppress
 
 from .person import Person
 
-__all__ = ["KEYS", "listening"]
-
 KEYS: dict[str, tuple[str, Callable[[Person], None]]] = {
     " ": ("pause, go on", lambda person: person.go_on() if person.paused else person.pause()),
     "y": ("this one succeeded", Person.succeeded),

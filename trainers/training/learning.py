@@ -22,8 +22,6 @@ from .collection import Metrics
 from .constraints import Constraints
 from .profiling import Stopwatch
 
-__all__ = ["LearnerGenerator", "Learning"]
-
 
 class LearnerGenerator:
     """Lets updates draw from numbers of their own, apart from what collecting draws.

@@ -11,8 +11,6 @@ from ..requests import Request
 from .collection import Collection
 from .interruption import Interruption
 
-__all__ = ["Person"]
-
 log = logging.getLogger(__name__)
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-__all__ = ["assign", "flatten"]
-
 
 def flatten(policy: torch.nn.Module) -> Tensor:
     """Return parameters and buffers in one vector, a copy on the CPU."""

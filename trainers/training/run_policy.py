@@ -17,8 +17,6 @@ from ..evaluation.episodes import Comparison
 from ..evaluation.evaluator import Evaluator
 from ..seeds import Stream
 
-__all__ = ["RunPolicy"]
-
 
 class RunPolicy:
     """What a run hands over: the controller alone, until it takes a policy of the learner.

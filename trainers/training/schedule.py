@@ -9,8 +9,6 @@ from ..evaluation.frozen import FEW
 from ..settings import TrainerSettings
 from .acceptance import Acceptance
 
-__all__ = ["announce", "checkpoint_due", "episodes_ahead", "evaluation_due"]
-
 log = logging.getLogger(__name__)
 
 

@@ -10,8 +10,6 @@ import torch
 
 from ..settings import TrainerSettings
 
-__all__ = ["configure_torch"]
-
 COLLECTOR_OFFSET = 2**30
 """Apart from every seed that a user can name."""
 

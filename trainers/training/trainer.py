@@ -41,8 +41,6 @@ from .progress import Progress
 from .schedule import announce, checkpoint_due, evaluation_due
 from .torch_setup import configure_torch
 
-__all__ = ["Trainer"]
-
 log = logging.getLogger(__name__)
 
 

@@ -10,8 +10,6 @@ from ..config import InsertionConfig
 from .appearance import mark
 from .sawyer import LINKS
 
-__all__ = ["add_cartesian_actuators", "add_joint_actuators"]
-
 ROTATION_LIMIT = 20.0
 """Of the Cartesian controller about an axis, N m."""
 

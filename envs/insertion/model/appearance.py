@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = ["add_materials", "draw", "dress_arm", "mark"]
-
 MATERIALS = {
     "red": {"rgba": (0.66, 0.04, 0.05, 1), "specular": 0.6, "shininess": 0.7},
     "charcoal": {"rgba": (0.09, 0.095, 0.105, 1), "specular": 0.4, "shininess": 0.5},

@@ -8,8 +8,6 @@ from dm_control import composer
 
 from ..config import InsertionConfig
 
-__all__ = ["CAMERAS", "PlatformArena"]
-
 TABLE_HEIGHT = 0.75
 """Of the platform's surface, z = 0, above the floor, m."""
 CAMERAS = ("overview", "closeup", "front", "gap")

@@ -9,8 +9,6 @@ from dm_control import composer, mjcf
 
 from .appearance import mark
 
-__all__ = ["HeldBlock", "StandingBlock", "chamfered_vertices"]
-
 Vector3 = tuple[float, float, float]
 
 

@@ -6,8 +6,6 @@ from dm_control import composer, mjcf
 
 from .appearance import add_materials, draw, mark
 
-__all__ = ["FINGER_TRAVEL", "ParallelGripper"]
-
 MASS = 0.3
 FINGER_TRAVEL = 0.0208
 """Of each finger, m."""

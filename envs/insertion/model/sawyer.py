@@ -8,8 +8,6 @@ from dm_control import composer, mjcf
 
 from .appearance import add_materials, dress_arm, mark
 
-__all__ = ["LINKS", "TOOL_DOWN", "Link", "Sawyer"]
-
 Vector = tuple[float, ...]
 
 

@@ -17,8 +17,6 @@ from .gripper import ParallelGripper
 from .sawyer import Sawyer
 from .sensors import add_sensors
 
-__all__ = ["build_scene", "compile_model"]
-
 COLORS = ((0.13, 0.37, 0.70, 1.0), (0.10, 0.52, 0.50, 1.0))
 """Of the left and right standing block."""
 HELD_COLOR = (0.95, 0.66, 0.13, 1.0)

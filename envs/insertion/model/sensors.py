@@ -7,8 +7,6 @@ from typing import Any
 from .blocks import HeldBlock
 from .sawyer import Sawyer
 
-__all__ = ["add_sensors"]
-
 
 def add_sensors(root: Any, arm: Sawyer, held: HeldBlock, blocks: list[Any], gap: Any) -> None:
     """Add the task's sensors; numbered ones (``name.index``) become one signal.

@@ -12,8 +12,6 @@ import numpy as np
 from ..config import InsertionConfig
 from .signals import Signals
 
-__all__ = ["check_action", "jacobian", "orientation_error", "set_points"]
-
 TOOL_DOWN_AXES = np.array([(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)])
 """Rows: x, y and z axis of a tool that points straight down."""
 IK_DAMPING = 1e-7 * np.eye(6)

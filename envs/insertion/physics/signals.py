@@ -5,8 +5,6 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-__all__ = ["SignalLayout", "Signals"]
-
 Signals = dict[str, np.ndarray]
 """Arrays by name, batch dimensions first; :mod:`..model.sensors` has names, shapes and units."""
 

@@ -12,8 +12,6 @@ from ..config import InsertionConfig
 from ..model.scene import compile_model
 from .start import Episode, StartState
 
-__all__ = ["STATE", "BatchSimulation", "has_diverged"]
-
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS.value
 CONTROL = mujoco.mjtState.mjSTATE_CTRL.value
 

@@ -13,8 +13,6 @@ from ..model.sawyer import TOOL_DOWN
 from .control import jacobian, orientation_error, set_points
 from .signals import SignalLayout
 
-__all__ = ["Episode", "StartState", "draw_episode"]
-
 SETTLE_TIME = 0.5
 ARM_JOINTS = tuple(f"sawyer/right_j{index}" for index in range(NUM_JOINTS))
 BLOCK_BODIES = ("left_block/", "right_block/")

@@ -14,8 +14,6 @@ from rrl.checks import require
 from rrl.transforms.base.action_bounds import ActionLimits, action_leaf, limits_of
 from rrl.transforms.base.slots import SlotTransform
 
-__all__ = ["ActionTransform", "sibling"]
-
 _CASTS = (DeviceCastTransform, DTypeCastTransform)
 
 

@@ -9,8 +9,6 @@ from tensordict import NestedKey
 from torch import Tensor
 from torchrl.data import Bounded, Composite, TensorSpec
 
-__all__ = ["ActionLimits", "action_leaf", "limits_of", "share_within"]
-
 
 class ActionLimits(NamedTuple):
     """Bounds of one action entry, tensors of the entry's shape.

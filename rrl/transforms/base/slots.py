@@ -17,8 +17,6 @@ from rrl.checks import missing
 from rrl.slot_masks import any_done, merge, reset_mask, step_mask
 from rrl.slot_random import Seeded, SlotGenerators
 
-__all__ = ["Mask", "Memory", "RandomTransform", "SlotTransform"]
-
 Mask = Tensor | None
 """Slots, bool ``[*batch]``; None: all of them."""
 

@@ -13,8 +13,6 @@ from rrl.checks import missing, require
 from rrl.keys import SAFETY
 from rrl.transforms.base import ActionLimits, ActionTransform, Mask, Memory, sibling
 
-__all__ = ["CommandLimit", "SafetyLimit"]
-
 
 class SafetyLimit(ActionTransform):
     """Base of the transforms that change an action which is not safe.

@@ -12,8 +12,6 @@ from rrl.slot_masks import shaped_like, step_mask, truncate
 from rrl.transforms.base import ActionLimits, sibling
 from rrl.transforms.safety.base import CommandLimit, finite
 
-__all__ = ["FiniteAction"]
-
 _REPLACEMENTS = ("last", "zero", "controller")
 
 

@@ -16,8 +16,6 @@ from rrl.keys import BASE_ACTION, REWARD, SAFETY
 from rrl.slot_masks import any_done, merge, truncate
 from rrl.transforms.base import Mask, Memory, SlotTransform
 
-__all__ = ["FiniteObservation"]
-
 log = logging.getLogger(__name__)
 
 

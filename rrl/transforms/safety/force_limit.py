@@ -14,8 +14,6 @@ from rrl.transforms.base import ActionLimits
 from rrl.transforms.safety.base import SafetyLimit
 from rrl.transforms.safety.sums import dot, norm
 
-__all__ = ["ForceLimit"]
-
 
 class ForceLimit(SafetyLimit):
     r"""A bound on the contact force, by the distance that a command may move the set point.

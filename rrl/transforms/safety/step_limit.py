@@ -13,8 +13,6 @@ from rrl.keys import ACTION
 from rrl.transforms.base import ActionLimits, share_within
 from rrl.transforms.safety.base import CommandLimit
 
-__all__ = ["StepLimit"]
-
 
 class StepLimit(CommandLimit):
     """A bound on an action's size, and on its change since the last step.

@@ -10,8 +10,6 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-__all__ = ["dot", "norm", "total"]
-
 
 def total(values: Tensor, dim: int = -1) -> Tensor:
     """Return the sum over a dimension, added from first to last; zeros if it is empty."""

@@ -14,8 +14,6 @@ from rrl.transforms.base import ActionLimits, Mask, Memory
 from rrl.transforms.safety.base import SafetyLimit, check_sizes_equal
 from rrl.transforms.safety.sums import total
 
-__all__ = ["WorkspaceLimit"]
-
 _SINCE = "since"
 """The commands that may have been carried out since the position was measured, oldest first."""
 

@@ -10,8 +10,6 @@ from torchrl.data import Composite
 from rrl.checks import check_keys, require
 from rrl.transforms.base import Memory, RandomTransform
 
-__all__ = ["SensingFault"]
-
 
 class SensingFault(RandomTransform):
     """A fault that observation entries are read with.

@@ -13,8 +13,6 @@ from rrl.slot_masks import merge
 from rrl.transforms.base import Mask, Memory
 from rrl.transforms.sensing.fault import SensingFault
 
-__all__ = ["ObservationLatency"]
-
 _AGE = "age"
 
 

@@ -13,8 +13,6 @@ from rrl.checks import check_length, per_dimension, require
 from rrl.transforms.base import Mask, Memory
 from rrl.transforms.sensing.fault import SensingFault
 
-__all__ = ["ObservationNoise"]
-
 
 class ObservationNoise(SensingFault):
     """A constant bias and Gaussian noise on observations.

@@ -30,8 +30,6 @@ from .hand_over import HandOver, Weights
 from .policy_thread import PolicyThread
 from .records import Timing, make_record
 
-__all__ = ["Acting", "Ending"]
-
 log = logging.getLogger(__name__)
 
 LATE = {

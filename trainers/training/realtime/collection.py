@@ -35,8 +35,6 @@ from ..policy_vector import flatten
 from .hand_over import FOLDER, HandOver, Weights
 from .records import TIMING, cut_episodes, read_usable, seconds_of, timing_metrics
 
-__all__ = ["RealTime"]
-
 CLOSE_SECONDS = 10.0
 """How long the process gets to stop the robot before it is ended."""
 POLL = 0.01

@@ -35,8 +35,6 @@ from torch import Tensor
 from ...requests import Request
 from ...storage.files import lock
 
-__all__ = ["FOLDER", "HandOver", "Weights"]
-
 FOLDER = "realtime"
 REQUESTS = "requests.txt"
 

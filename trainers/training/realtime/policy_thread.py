@@ -11,8 +11,6 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-__all__ = ["PolicyThread"]
-
 
 class PolicyThread:
     """Runs a policy in a thread of its own, so that the loop goes on where it takes too long.

@@ -17,17 +17,6 @@ from ...storage.neighbors import named, put_neighbors
 from ...storage.replay_store import as_stored
 from ...storage.transition_log import TransitionLog
 
-__all__ = [
-    "TIMING",
-    "Timing",
-    "cut_episodes",
-    "make_record",
-    "read_usable",
-    "record_bytes",
-    "seconds_of",
-    "timing_metrics",
-]
-
 log = logging.getLogger(__name__)
 
 TIMING = "timing"
