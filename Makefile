@@ -4,7 +4,7 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 PAPER  := curves-sim curves-real rotation noise bias table success-real bias-real sim-to-real exploration
 
-.PHONY: train test test-slow test-ray test-gallery lint docs controllers reproduce paper gallery faults soak studies benchmark tuning latency limits clean
+.PHONY: train test test-slow test-ray test-gallery lint docs controllers reproduce paper gallery faults soak benchmark tuning latency limits clean
 
 train: $(VENV)/installed            ## train residual TD3 on the misaligned insertion task, five seeds side by side
 	$(BIN)/rrl train trainer.num_seeds=5
@@ -54,9 +54,6 @@ faults: $(VENV)/installed           ## kill a training run a hundred times, resu
 
 soak: $(VENV)/installed             ## train for ten minutes and watch memory, files, threads and speed
 	$(BIN)/python -W ignore benchmarks/soak.py --minutes 10
-
-studies: $(VENV)/installed          ## every switch for sample efficiency, added to td3 and removed from td3-ensemble; fast settings against plain
-	cd benchmarks/studies && $(abspath $(BIN))/rrl reproduce added removed fast
 
 benchmark: $(VENV)/installed        ## training speed against Stable-Baselines3, SBX, CleanRL's and TorchRL's TD3
 	$(BIN)/pip install --disable-pip-version-check --quiet --constraint constraints.txt --editable ".[benchmark]"

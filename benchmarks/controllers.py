@@ -18,6 +18,7 @@ from tensordict import TensorDict
 
 from rrl.controllers import Controller, ProportionalController
 from rrl.envs import InsertionEnv, PressAndDrag
+from rrl.trainers.evaluation.statistics import wilson
 
 UNIT = 0.02
 """Metres that an action of 1 stands for."""
@@ -101,15 +102,6 @@ def run(row: Row, episodes: int, num_envs: int, threads: int, seed: int) -> tupl
         successes += int(observation["success"].sum())
     env.close()
     return successes, batches * num_envs
-
-
-def wilson(successes: int, trials: int, z: float = 1.959964) -> tuple[float, float]:
-    """Return Wilson's 95 % interval of a rate."""
-    rate = successes / trials
-    center = rate + z * z / (2 * trials)
-    spread = z * math.sqrt(rate * (1 - rate) / trials + z * z / (4 * trials**2))
-    scale = 1 + z * z / trials
-    return max(0.0, (center - spread) / scale), min(1.0, (center + spread) / scale)
 
 
 def main() -> None:

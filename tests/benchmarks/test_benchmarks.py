@@ -1,4 +1,4 @@
-"""Benchmarks fit today's code: studies, contenders, the exported policy beside the trainer's chain."""
+"""Benchmarks fit today's code: contenders, the exported policy beside the trainer's chain."""
 
 import json
 import subprocess
@@ -7,24 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from rrl.trainers.cli.compose import compose
-from rrl.trainers.configuration import build
-from rrl.trainers.experiments.plan import plan_points
-from rrl.trainers.experiments.spec import load_experiments, load_settings
-
 ROOT = Path(__file__).parents[2]
-STUDIES = ROOT / "benchmarks/studies/configs"
 NEEDS = {"sb3": "stable_baselines3", "sbx": "sbx"}
-
-
-@pytest.mark.parametrize("study", sorted(p.stem for p in (STUDIES / "experiment").glob("*.yaml")))
-def test_a_study_fits_the_configuration(study):
-    points = plan_points(
-        load_experiments([study], [STUDIES]), load_settings([STUDIES], {}), compose
-    )
-    assert len({point.key for point in points}) == len(points), "two arms are the same"
-    for point in points:
-        build.check(point.config)
 
 
 @pytest.mark.slow
