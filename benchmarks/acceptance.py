@@ -9,7 +9,8 @@ controller's probability of solving one is drawn from a beta distribution.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from rrl.trainers.evaluation.sequential import ErrorBudget, NotWorseTest
 from rrl.trainers.settings import AcceptanceSettings
 
 DEFAULT = AcceptanceSettings()
+FAILURE = 6.0
+"""Ranges of the controller's returns that a rare failure costs, as of a lander that crashes."""
+
 Floats = NDArray[np.float64]
 
 
@@ -50,17 +54,25 @@ def pairs(
 
 def skewed(controller: float, policy: float, count: int, rng: np.random.Generator) -> Floats:
     """Draw differences in return with the same mean: mostly a little better, seldom a lot worse."""
+    return rare_failures(controller, policy, count, rng, loss=1.0)
+
+
+def rare_failures(
+    controller: float, policy: float, count: int, rng: np.random.Generator, loss: float = FAILURE
+) -> Floats:
+    """Draw differences in return: a little better, but for failures that cost several ranges."""
     gain = 0.02
-    rare = (gain - (policy - controller)) / (1 + gain)
-    return np.where(rng.random(count) < rare, -1.0, gain)
+    rare = (gain - (policy - controller)) / (loss + gain)
+    return np.where(rng.random(count) < rare, -loss, gain)
 
 
-DRAWS = {
-    "frozen": pairs,
-    "not frozen": lambda *given: pairs(*given, alike=0.0),
-    "skewed returns": skewed,
+DRAWS: dict[str, tuple[Callable[..., Floats], float]] = {
+    "frozen": (pairs, 1.0),
+    "not frozen": (partial(pairs, alike=0.0), 1.0),
+    "skewed returns": (skewed, 1.0),
+    "rare failures": (rare_failures, FAILURE),
 }
-"""Ways to draw differences; each takes controller, policy, count, rng."""
+"""Ways to draw differences from controller, policy, count, rng, and the largest loss of each."""
 
 
 def run(
@@ -68,9 +80,10 @@ def run(
 ) -> list[NotWorseTest]:
     """Return the tests of candidates with these success rates, in one run."""
     budget, tests = ErrorBudget(DEFAULT.alpha), []
+    differences, worst = DRAWS[draw]
     for policy in curve:
-        test = budget.test(DEFAULT.margin)
-        test.add(DRAWS[draw](controller, policy, DEFAULT.episodes, rng))
+        test = budget.test(DEFAULT.margin, worst)
+        test.add(differences(controller, policy, DEFAULT.episodes, rng))
         budget.settle(test)
         tests.append(test)
     return tests

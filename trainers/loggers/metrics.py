@@ -13,6 +13,9 @@ Values = Mapping[str, float]
 TRAIN = "train"
 """What the exploring policy meets: ``train/return``, ``.../success``, ``.../reward_terms/TERM``."""
 
+LEAST_RETURN = "train/least_return"
+"""Of the episodes of which ``train/return`` is the mean."""
+
 LOSS = "loss"
 """What the updates report: ``loss/loss_critic``, ``loss/q_value``, ``loss/target_value``."""
 

@@ -32,8 +32,9 @@ class Acceptance:
     The learner's policy is a candidate if it is better, on the followed episodes, than what the run
     would hand over: by its success rate, at equal rates by whether it keeps the budgets, then by
     its return. It is taken if a sequential test on episodes that nothing else has seen shows that
-    it is not worse than the controller. The error of all candidates of a run together is bounded;
-    see :mod:`~rrl.trainers.evaluation.sequential`.
+    it is not worse than the controller. Returns count in ranges of the controller's, and losses
+    down to the worst return that the run has seen. The error of all candidates of a run together is
+    bounded; see :mod:`~rrl.trainers.evaluation.sequential`.
 
     Args:
         settings: The run's; without ``acceptance.enabled`` nothing is tested.
@@ -51,6 +52,7 @@ class Acceptance:
         self._first_seed = first_seed(Stream.ACCEPTANCE, settings.seed)
         self._played = 0
         self._budget = ErrorBudget(self.settings.alpha)
+        self._least_return = float("inf")  # of all episodes of the run so far
         self._followed: Episodes | None = None  # of what is handed over
 
     def tests_ahead(self, env_steps: int) -> int:
@@ -81,6 +83,10 @@ class Acceptance:
                 self.settings.episodes,
             )
 
+    def notice(self, values: Mapping[str, float]) -> None:
+        """Learn from a round's metrics how badly an episode can end."""
+        self._notice(values.get(metrics.LEAST_RETURN, np.nan))
+
     def follow(self, env_steps: int) -> tuple[Comparison, dict[str, Any]]:
         """Play the followed episodes with the learner's policy; see :meth:`consider`."""
         latest = self.evaluator.compare(
@@ -106,9 +112,12 @@ class Acceptance:
         """
         if not self.settings.enabled:
             return comparison, {}
-        played, test = 0, self._budget.test(self.settings.margin)
+        self._notice(*comparison.controller.returns, *comparison.residual.returns)
+        scale = self._scale(comparison.controller)
+        worst = self._worst(comparison.controller, scale)
+        played, test = 0, self._budget.test(self.settings.margin, worst)
         if self._is_candidate(comparison):
-            played = self._test(test, self._scale(comparison.controller))
+            played = self._test(test, scale)
             self._budget.settle(test)
             if test.accepted:
                 self.handed_over.take(env_steps)
@@ -124,14 +133,16 @@ class Acceptance:
         return replace(comparison, accepted=now, accepted_env_steps=since), named
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what is handed over, how many episodes are used up, and the error that is left."""
+        """Return what is handed over, how many episodes are used up, and what they have shown."""
         state = {"played": self._played, "alpha_left": self._budget.left}
+        state["least_return"] = self._least_return
         return self.handed_over.state_dict() | state
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore :meth:`state_dict`."""
         self.handed_over.load_state_dict(state)
         self._played, self._budget.left = state["played"], state["alpha_left"]
+        self._least_return = state.get("least_return", float("inf"))
         self._followed = None
 
     def _is_candidate(self, comparison: Comparison) -> bool:
@@ -161,8 +172,19 @@ class Acceptance:
             seed = self._first_seed + self._played
             policy, alone = self.evaluator.pairs(self.agent.policy, scenario, seed, count)
             self._played, played = self._played + count, played + count
+            self._notice(*policy.returns)
             test.add(_outcomes(policy, scale) - _outcomes(alone, scale))
         return played
+
+    def _notice(self, *returns: float) -> None:
+        finite = [float(value) for value in returns if np.isfinite(value)]
+        self._least_return = min([self._least_return, *finite])
+
+    def _worst(self, controller: Episodes, scale: float) -> float:
+        """The largest loss that counts: down to the worst return that the run has seen."""
+        if controller.success is not None:
+            return 1.0
+        return max(1.0, (float(np.nanmax(controller.returns)) - self._least_return) / scale)
 
     @staticmethod
     def _scale(controller: Episodes) -> float:

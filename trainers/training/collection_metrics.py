@@ -30,7 +30,7 @@ class EpisodeReturns:
         self.running = torch.zeros_like(self.running)
 
     def metrics(self, data: TensorDictBase) -> dict[str, float]:
-        """Return ``train/return``, the mean over episodes that end in ``data`` [E, T]."""
+        """Return mean and least return of the episodes that end in ``data`` [E, T], if any do."""
         rewards = data["next", "reward"].reshape(*data.shape, -1).double().sum(-1)
         done = data["next", "done"].reshape(*data.shape, -1).any(-1)
         ended: list[Tensor] = []
@@ -39,8 +39,10 @@ class EpisodeReturns:
             ended.append(self.running[over])
             self.running = torch.where(over, 0.0, self.running)
         returns = torch.cat(ended)
-        name = metrics.name(metrics.TRAIN, "return")
-        return {name: float(returns.mean())} if len(returns) else {}
+        if not len(returns):
+            return {}
+        mean = metrics.name(metrics.TRAIN, "return")
+        return {mean: float(returns.mean()), metrics.LEAST_RETURN: float(returns.min())}
 
 
 @dataclass(frozen=True)

@@ -248,6 +248,7 @@ class Trainer(AbstractContextManager["Trainer"]):
             return self.constraints.adapt(self.store.recover(self.settings.steps_per_round))
         with self.stopwatch("collect"):
             transitions, values = self.collection.collect(self.env_steps)
+        self.acceptance.notice(values)
         with self.stopwatch("store"):
             stored = self.store.extend(transitions)
         return values | self.constraints.adapt(stored)

@@ -220,6 +220,47 @@ def test_returns_stand_in_for_success_and_independent_samples_for_pairs(make, fa
         assert (found.residual.success is None) == (kind is Silent)
 
 
+class Treacherous(Silent):
+    """In one test episode of eight it is dear to be where the drift keeps the controller away."""
+
+    def _set_seed(self, seed):
+        super()._set_seed(seed)
+        numbers = (seed or 0) + torch.arange(self.batch_size.numel())
+        self._dear = (numbers >> 29 == Stream.ACCEPTANCE) & (numbers % 8 == 0)
+
+    def _step(self, tensordict):
+        out = super()._step(tensordict)
+        there = (self._goal - self._position)[:, 0].abs() < DRIFT / 2
+        out["reward"] -= 10.0 * (there & self._dear).unsqueeze(-1)
+        return out
+
+
+@pytest.mark.parametrize("seen", [True, False])
+def test_a_loss_counts_down_to_the_worst_that_the_run_has_seen(make, factory, seen):
+    environment = replace(factory, base=lambda num_envs=1: Treacherous([num_envs]))
+    with make(environment=environment) as trainer:
+        say(trainer, AGAINST)
+        lucky = trainer.evaluator.compare(trainer.agent.policy, "drift", Stream.FOLLOWING, 20)
+        assert lucky.residual.returns.mean() > lucky.controller.returns.mean()
+        if seen:
+            trainer.acceptance.notice({"train/least_return": -100.0})
+        _, values = trainer.acceptance.consider(lucky, 100)
+        assert values["acceptance/episodes"] > 0
+        assert values["acceptance/accepted"] == (not seen)
+        least = trainer.acceptance.state_dict()["least_return"]
+        assert least < lucky.residual.returns.min()  # its own episodes teach the next test
+
+
+def test_what_the_least_return_was_is_told_by_collections_and_kept(make):
+    with make(total_steps=200) as trainer:
+        trainer.run()
+        record = read_metrics(trainer.run_dir)
+        least = [value for _, value in record["train/least_return"]]
+        means = [value for _, value in record["train/return"]]
+        assert all(a <= b for a, b in zip(least, means, strict=True))
+        assert trainer.acceptance.state_dict()["least_return"] <= min(least)
+
+
 def test_a_run_reports_both_the_latest_policy_and_what_it_hands_over(make, tmp_path, caplog):
     caplog.set_level(logging.INFO, "rrl")
     with make(total_steps=300, agent=STUBBORN) as trainer:
