@@ -262,6 +262,7 @@ def test_links_lead_somewhere(document):
         assert (document.parent / target).exists(), target
 
 
+@pytest.mark.slow
 def test_the_tutorial_runs(tmp_path):
     notebook = nbformat.read(TUTORIAL, as_version=4)
     NotebookClient(notebook, timeout=250, resources={"metadata": {"path": tmp_path}}).execute()

@@ -47,11 +47,16 @@ def run(code: str, **variables: str) -> str:
     "variables",
     [
         {},
-        {"MUJOCO_GL": "osmesa"},
-        {"MUJOCO_GL": "glfw"},
         {"MUJOCO_GL": "magic"},
-        {"PYOPENGL_PLATFORM": "osmesa"},
-        {"MUJOCO_EGL_DEVICE_ID": "99"},
+        *(
+            pytest.param(variables, marks=pytest.mark.slow)
+            for variables in (
+                {"MUJOCO_GL": "osmesa"},
+                {"MUJOCO_GL": "glfw"},
+                {"PYOPENGL_PLATFORM": "osmesa"},
+                {"MUJOCO_EGL_DEVICE_ID": "99"},
+            )
+        ),
     ],
     ids=lambda variables: ",".join(f"{k}={v}" for k, v in variables.items()) or "default",
 )

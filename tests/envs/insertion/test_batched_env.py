@@ -250,6 +250,7 @@ def make_env() -> InsertionEnv:
     return InsertionEnv("real", num_envs=1, seed=None)
 
 
+@pytest.mark.slow
 def test_in_workers() -> None:
     env = ParallelEnv(2, make_env)
     env.set_seed(0)

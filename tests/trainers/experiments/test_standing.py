@@ -119,6 +119,7 @@ def whole(outcome):
     return Outcome(point, outcome.runs)
 
 
+@pytest.mark.slow
 def test_the_command_writes_page_figure_and_table(project, run):
     arms = {"drifting": [], "still": ["env.base.drift=0.0"]}
     overrides = ["trainer.acceptance.enabled=true", "+env.packages=[numpy]"]

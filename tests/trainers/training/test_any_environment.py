@@ -167,7 +167,14 @@ def make(make_trainer):
 
 
 @pytest.mark.parametrize("collection", ["turn", pytest.param("overlap", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("base", [Line, Slashes, Nested, LegacyGenerator, Chatty])
+@pytest.mark.parametrize(
+    "base",
+    [
+        Line,
+        Nested,
+        *(pytest.param(b, marks=pytest.mark.slow) for b in (Slashes, LegacyGenerator, Chatty)),
+    ],
+)
 def test_a_state_of_arrays_generators_and_text_is_saved_and_gone_on_from(make, base, collection):
     environment = of(base)
     whole = run(make("whole", environment, collection=collection))

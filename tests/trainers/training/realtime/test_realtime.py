@@ -128,7 +128,9 @@ def test_what_the_environment_raises_is_raised_by_the_run(make):
     assert len(acted(trainer.run_dir)) == 29
 
 
-@pytest.mark.parametrize("late", ["controller", "hold", "stop"])
+@pytest.mark.parametrize(
+    "late", ["controller", *(pytest.param(x, marks=pytest.mark.slow) for x in ("hold", "stop"))]
+)
 def test_a_late_step_does_as_it_is_told(make, caplog, late):
     caplog.set_level(logging.INFO)
     trainer = run(make(exploration=Hesitant, realtime={"late": late, "budget": 0.9}))

@@ -184,6 +184,7 @@ def test_a_record_that_is_not_finite_is_replaced_by_its_neighbor(make, tmp_path,
     assert caplog.text.count("1 of the acting process's records (40)") == 2
 
 
+@pytest.mark.slow
 def test_a_run_stops_though_its_robot_is_switched_off_and_goes_on_later(make, tmp_path):
     trainer = make(base=partial(SwitchedOff, tmp_path / "on"), realtime={"retry": 0.1})
     process = HandOver(trainer.run_dir / "realtime")
@@ -227,6 +228,7 @@ def test_a_trainer_that_cannot_be_made_leaves_no_process(make, tmp_path):
     assert not HandOver(tmp_path / "run/realtime").is_alive()
 
 
+@pytest.mark.slow
 def test_a_robot_makes_no_step_again_whose_record_is_gone(make, tmp_path):
     run(make(total_steps=60))
     shutil.rmtree(tmp_path / "run/realtime")
