@@ -13,7 +13,7 @@ from typing import Any, TextIO
 from ..storage.files import write_atomically
 from ..storage.run_files import METRICS
 from .base import MetricsLogger
-from .metrics import STEP_AXIS, Values
+from .metrics import FINAL, STEP_AXIS, Values
 
 Row = tuple[int, str, float]
 
@@ -22,9 +22,12 @@ class CSVLogger(MetricsLogger):
     """``metrics.csv`` with columns ``env_steps, metric, value``: the run's own record."""
 
     def start(self, run_dir: Path, config: Mapping[str, Any], env_steps: int) -> None:
-        """Open the file; a resumed run keeps the rows up to ``env_steps``."""
+        """Open the file; a resumed run keeps the rows up to ``env_steps``.
+
+        The final evaluation comes after the last checkpoint, so it is made again.
+        """
         path = run_dir / METRICS
-        rows = [row for row in _rows_of(path) if row[0] <= env_steps] if env_steps else []
+        rows = [row for row in _rows_of(path) if _is_kept(row, env_steps)] if env_steps else []
         kept = io.StringIO()
         csv.writer(kept).writerows([(STEP_AXIS, "metric", "value"), *rows])
         write_atomically(path, kept.getvalue())
@@ -59,6 +62,10 @@ def read_metrics(run_dir: Path) -> dict[str, list[tuple[int, float]]]:
     for env_steps, metric, value in _rows_of(path):
         out.setdefault(metric, []).append((env_steps, value))
     return out
+
+
+def _is_kept(row: Row, env_steps: int) -> bool:
+    return row[0] <= env_steps and not row[1].startswith(f"{FINAL}/")
 
 
 def _rows_of(path: Path) -> Iterator[Row]:

@@ -43,6 +43,13 @@ def test_a_resumed_file_goes_on_after_its_checkpoint(tmp_path):
     assert read_metrics(tmp_path)["a"] == [(1, 1.0)]
 
 
+def test_a_final_evaluation_that_is_made_again_is_not_there_twice(tmp_path):
+    logged(CSVLogger(), tmp_path, [(10, {"a": 1.0, "final/b/success": 0.5})])
+    logged(CSVLogger(), tmp_path, [(10, {"final/b/success": 0.75})], env_steps=10)
+    found = read_metrics(tmp_path)
+    assert (found["a"], found["final/b/success"]) == ([(10, 1.0)], [(10, 0.75)])
+
+
 def test_a_run_without_a_file_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"expected metrics\.csv, got none"):
         read_metrics(tmp_path)
