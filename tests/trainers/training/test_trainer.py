@@ -98,11 +98,7 @@ def test_resuming_equals_never_having_stopped(make_trainer, variant):
     expected, resumed = whole.replay.storage[:], second.replay.storage[:]
     assert (expected == resumed).all()
     curves = [
-        {
-            k: v
-            for k, v in read_metrics(t.run_dir).items()
-            if not k.startswith(("time/", "clock/"))
-        }
+        {k: v for k, v in read_metrics(t.run_dir).items() if not k.startswith(("time/", "clock/"))}
         for t in (whole, second)
     ]
     assert curves[0] == curves[1]
