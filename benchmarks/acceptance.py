@@ -80,10 +80,10 @@ def run(
 ) -> list[NotWorseTest]:
     """Return the tests of candidates with these success rates, in one run."""
     budget, tests = ErrorBudget(DEFAULT.alpha), []
-    differences, worst = DRAWS[draw]
+    differences, largest = DRAWS[draw]
     for policy in curve:
-        test = budget.test(DEFAULT.margin, worst)
-        test.add(differences(controller, policy, DEFAULT.episodes, rng))
+        test = budget.test(DEFAULT.margin / largest)
+        test.add(differences(controller, policy, DEFAULT.episodes, rng) / largest)
         budget.settle(test)
         tests.append(test)
     return tests

@@ -1,8 +1,8 @@
 """A sequential test that a policy is not worse than the controller, and the error of many of them.
 
-The test is a bet (Waudby-Smith and Ramdas, 2024). Let ``d`` in [-worst, 1] be the policy's result
-less the controller's in an episode. Whoever does not believe that the mean of ``d`` is ``-margin``
-or less puts a share of a wealth of 1 on ``d + margin`` being positive. If the policy is worse than
+The test is a bet (Waudby-Smith and Ramdas, 2024). Let ``d`` in [-1, 1] be the policy's result less
+the controller's in an episode. Whoever does not believe that the mean of ``d`` is ``-margin`` or
+less puts a share of a wealth of 1 on ``d + margin`` being positive. If the policy is worse than
 the margin allows, the wealth does not grow on average, whatever was bet and whenever one looks; it
 ever reaches ``1 / alpha`` with a probability of at most ``alpha`` (Ville, 1939). Nothing is assumed
 of ``d`` but that the episodes are drawn alike and apart: pairs of equal episodes make the test
@@ -30,15 +30,13 @@ class NotWorseTest:
     Args:
         margin: Above 0 and below 1.
         alpha: Probability, at most, of accepting a policy that is.
-        worst: Largest loss of an episode that counts, at least 1. A rare failure that costs more
-            than ``1`` has to be within it: bets are so small that none can ruin.
 
     Attributes:
         episodes: How many differences it took to decide, or so far.
     """
 
-    def __init__(self, margin: float, alpha: float, worst: float = 1.0) -> None:
-        self.margin, self.alpha, self.worst, self.episodes = margin, alpha, worst, 0
+    def __init__(self, margin: float, alpha: float) -> None:
+        self.margin, self.alpha, self.episodes = margin, alpha, 0
         self._for, self._against = np.ones(len(BETS)), np.ones(len(BETS))
 
     @property
@@ -61,13 +59,12 @@ class NotWorseTest:
 
         Args:
             differences: Policy less controller ``[n]``. What is no number, such as the return of a
-                diverged simulation, counts as the worst; beyond ``-worst`` and 1 nothing counts.
+                diverged simulation, counts as -1; what is beyond -1 or 1 counts as these.
         """
         if self.decided or not len(differences):
             return
-        found = np.nan_to_num(np.asarray(differences, dtype=float), nan=-self.worst)
-        d = np.clip(found, -self.worst, 1.0)
-        bets = BETS / (self.worst - self.margin)
+        d = np.clip(np.nan_to_num(np.asarray(differences, dtype=float), nan=-1.0), -1.0, 1.0)
+        bets = BETS / (1 - self.margin)
         gains = self._for * np.cumprod(1 + bets * (d[:, None] + self.margin), axis=0)  # (n, bets)
         doubts = self._against * np.cumprod(1 - BETS * d[:, None], axis=0)
         ends = (gains.mean(axis=1) >= 1 / self.alpha) | (doubts.mean(axis=1) >= 1 / FUTILITY)
@@ -94,9 +91,9 @@ class ErrorBudget:
     def __init__(self, alpha: float) -> None:
         self.left = alpha
 
-    def test(self, margin: float, worst: float = 1.0) -> NotWorseTest:
+    def test(self, margin: float) -> NotWorseTest:
         """Return the test of the next candidate."""
-        return NotWorseTest(margin, STAKE * self.left, worst)
+        return NotWorseTest(margin, STAKE * self.left)
 
     def settle(self, test: NotWorseTest) -> None:
         """Take the stake of a test that is over, or not gone on with."""

@@ -32,9 +32,9 @@ class Acceptance:
     The learner's policy is a candidate if it is better, on the followed episodes, than what the run
     would hand over: by its success rate, at equal rates by whether it keeps the budgets, then by
     its return. It is taken if a sequential test on episodes that nothing else has seen shows that
-    it is not worse than the controller. Returns count in ranges of the controller's, and losses
-    down to the worst return that the run has seen. The error of all candidates of a run together is
-    bounded; see :mod:`~rrl.trainers.evaluation.sequential`.
+    it is not worse than the controller. The test needs a bound of what can be lost in an episode:
+    of returns, down to the worst that the run has seen. The error of all candidates of a run
+    together is bounded; see :mod:`~rrl.trainers.evaluation.sequential`.
 
     Args:
         settings: The run's; without ``acceptance.enabled`` nothing is tested.
@@ -113,11 +113,11 @@ class Acceptance:
         if not self.settings.enabled:
             return comparison, {}
         self._notice(*comparison.controller.returns, *comparison.residual.returns)
-        scale = self._scale(comparison.controller)
-        worst = self._worst(comparison.controller, scale)
-        played, test = 0, self._budget.test(self.settings.margin, worst)
+        unit = self._unit(comparison.controller)
+        largest = max(unit, self._largest_loss(comparison.controller))
+        played, test = 0, self._budget.test(self.settings.margin * unit / largest)
         if self._is_candidate(comparison):
-            played = self._test(test, scale)
+            played = self._test(test, largest)
             self._budget.settle(test)
             if test.accepted:
                 self.handed_over.take(env_steps)
@@ -163,8 +163,11 @@ class Acceptance:
             )
         return self._followed
 
-    def _test(self, test: NotWorseTest, scale: float) -> int:
-        """Play until the test is decided or the episodes are used up; return how many pairs."""
+    def _test(self, test: NotWorseTest, largest: float) -> int:
+        """Play until the test is decided or the episodes are used up; return how many pairs.
+
+        Differences count up to ``largest``, which is 1 to the test.
+        """
         scenario, played = self.evaluator.followed, 0
         at_a_time = self.evaluator.side_by_side(scenario, SIDE_BY_SIDE)
         while not test.decided and played < self.settings.episodes:
@@ -173,31 +176,31 @@ class Acceptance:
             policy, alone = self.evaluator.pairs(self.agent.policy, scenario, seed, count)
             self._played, played = self._played + count, played + count
             self._notice(*policy.returns)
-            test.add(_outcomes(policy, scale) - _outcomes(alone, scale))
+            test.add((_outcomes(policy) - _outcomes(alone)) / largest)
         return played
 
     def _notice(self, *returns: float) -> None:
         finite = [float(value) for value in returns if np.isfinite(value)]
         self._least_return = min([self._least_return, *finite])
 
-    def _worst(self, controller: Episodes, scale: float) -> float:
-        """The largest loss that counts: down to the worst return that the run has seen."""
+    def _largest_loss(self, controller: Episodes) -> float:
+        """From the controller's best followed episode down to the worst return of the run."""
         if controller.success is not None:
             return 1.0
-        return max(1.0, (float(np.nanmax(controller.returns)) - self._least_return) / scale)
+        return float(controller.returns.max()) - self._least_return
 
     @staticmethod
-    def _scale(controller: Episodes) -> float:
-        """What a difference of 1 is: a success, or the range of the controller's returns."""
+    def _unit(controller: Episodes) -> float:
+        """What the margin is a share of: a success, or the range of the controller's returns."""
         if controller.success is not None:
             return 1.0
         largest = float(np.abs(controller.returns).max())
         return float(np.ptp(controller.returns)) or largest or 1.0
 
 
-def _outcomes(episodes: Episodes, scale: float) -> NDArray[np.float64]:
+def _outcomes(episodes: Episodes) -> NDArray[np.float64]:
     found = episodes.returns if episodes.success is None else episodes.success
-    return found.astype(np.float64) / scale
+    return found.astype(np.float64)
 
 
 def _score(episodes: Episodes) -> tuple[float, bool, float]:
