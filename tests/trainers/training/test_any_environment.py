@@ -14,7 +14,7 @@ from torchrl.envs import EnvBase
 from rrl.controllers import ProportionalController, ZeroController
 from rrl.trainers import EnvironmentFactory, Input
 from rrl.trainers.settings import AcceptanceSettings, CheckpointSettings, EvaluationSettings
-from runs import assert_same_run, run
+from runs import assert_same_run, run, run_until
 
 EPISODE = 20
 
@@ -178,7 +178,7 @@ def make(make_trainer):
 def test_a_state_of_arrays_generators_and_text_is_saved_and_gone_on_from(make, base, collection):
     environment = of(base)
     whole = run(make("whole", environment, collection=collection))
-    run(make("broken", environment, total_steps=90, collection=collection))
+    run_until(make("broken", environment, collection=collection), "checkpoints.save", 90)
     second = make("broken", environment, collection=collection)
     second.resume()
     assert second.collection.can_continue
