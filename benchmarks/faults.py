@@ -131,13 +131,15 @@ def lost_transitions(run_dir: Path) -> int:
     )
     damaged = log.read(first, log.count)[1] if log.count else []
     # A kill may fall between setting a tail aside and cutting the metrics down to the checkpoint.
-    held = [log.count, *(ends_at(tail, log) for tail in log.folder.glob("tail_*.bin"))]
+    tails = (tail_content(tail, log) for tail in log.folder.glob("tail_*.bin"))
+    held = [log.count, *((start + len(data)) // log._record.itemsize for start, data in tails)]
     return max(0, acknowledged - max(held)) + len(damaged)
 
 
-def ends_at(tail: Path, log: TransitionLog) -> int:
-    """The number of the transition behind the last one of a tail that was set aside."""
-    return int(tail.stem.split("_")[1]) + tail.stat().st_size // log._record.itemsize
+def tail_content(tail: Path, log: TransitionLog) -> tuple[int, bytes]:
+    """Whole transitions of a tail that was set aside, and the byte of the log they stood at."""
+    size, content = log._record.itemsize, tail.read_bytes()
+    return int(tail.stem.split("_")[1]) * size, content[: len(content) // size * size]
 
 
 def metrics(run_dir: Path) -> dict[str, list[tuple[int, float]]]:
@@ -182,13 +184,8 @@ def tail_made_again(tail: Path) -> bool:
     """Whether the resumed run made the transitions of a tail again as they were."""
     from rrl.trainers.storage.transition_log import TransitionLog
 
-    log = TransitionLog(tail.parent)
-    size = log._record.itemsize
-    content = tail.read_bytes()
-    first = int(tail.stem.split("_")[1])
-    return transitions(tail.parents[1])[first * size :].startswith(
-        content[: len(content) // size * size]
-    )
+    start, content = tail_content(tail, TransitionLog(tail.parent))
+    return transitions(tail.parents[1])[start:].startswith(content)
 
 
 def same_state(one: Any, other: Any) -> bool:

@@ -29,6 +29,7 @@ class BoundedTD0Estimator(TD0Estimator):
     """
 
     SEEN: ClassVar[tuple[str, ...]] = ("least", "most")
+    """Names of the buffers, which begin at 0."""
     least: Tensor
     most: Tensor
 

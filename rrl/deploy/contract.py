@@ -2,7 +2,7 @@
 
 Layout of the folder::
 
-    contract.json   {"sha256": of the canonical JSON of "content", "content": {...}}
+    contract.json   sealed, see :mod:`rrl.sealed`
     policy.onnx     the graph for onnxruntime
     policy.pt2      the same graph for torch.export.load
 
@@ -13,8 +13,6 @@ state for the next step, each in the contract's order. In ``policy.onnx`` they h
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +20,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..sealed import fingerprint, unsealed
 
 FORMAT = 1
 CONTRACT, MODEL, ARCHIVE = "contract.json", "policy.onnx", "policy.pt2"
@@ -109,12 +109,12 @@ def read_contract(folder: str | Path) -> Contract:
             f"folder: expected what `rrl export run=RUN` wrote, got {str(folder)!r}: "
             f"no {CONTRACT} there"
         )
-    content = _sealed(path)
+    content = _content(path)
     for name, expected in content["files"].items():
         file = path.with_name(name)
         if name == MODEL and not file.is_file():
             raise FileNotFoundError(f"{file}: expected the graph that belongs to {path}, got none")
-        if file.is_file() and fingerprint(file) != expected["sha256"]:
+        if file.is_file() and fingerprint(file) != expected:
             raise ValueError(
                 f"{file}: expected the file that was exported, got a changed one (SHA-256 "
                 "differs); export the run again"
@@ -130,31 +130,17 @@ def read_contract(folder: str | Path) -> Contract:
     )
 
 
-def digest(content: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of a contract's content, however it is laid out in the file."""
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-def fingerprint(path: Path) -> str:
-    """Return a file's SHA-256."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def _sealed(path: Path) -> dict[str, Any]:
+def _content(path: Path) -> dict[str, Any]:
     try:
-        sealed = json.loads(path.read_text(encoding="utf-8"))
-        content, intact = sealed["content"], sealed["sha256"] == digest(sealed["content"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{path}: expected a contract, got a torn file: {error}") from error
-    if not intact:
+        content = unsealed(path.read_bytes())
+    except ValueError as error:
         raise ValueError(
-            f"{path}: expected the contract that was exported, got a changed one (SHA-256 "
-            "differs); export the run again"
-        )
+            f"{path}: expected the contract that was exported, got a file that is {error}; "
+            "export the run again"
+        ) from error
     if content["format"] != FORMAT:
         raise ValueError(f"{path}: expected format {FORMAT}, got {content['format']!r}")
-    return dict(content)
+    return content
 
 
 def _entry(node: Mapping[str, Any]) -> Entry:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -17,9 +16,10 @@ from torchrl.data import TensorSpec
 from torchrl.envs import EnvBase
 
 from rrl.deploy.archive import module_graph
-from rrl.deploy.contract import ARCHIVE, COMMAND, CONTRACT, FORMAT, MODEL, digest, fingerprint
+from rrl.deploy.contract import ARCHIVE, COMMAND, CONTRACT, FORMAT, MODEL
 from rrl.deploy.policy import Arrays, Graph, onnx_graph
 from rrl.keys import ACTION, BASE_ACTION
+from rrl.sealed import fingerprint, sealed
 from rrl.transforms.base import RandomTransform
 from rrl.transforms.base.action_bounds import limits_of
 
@@ -72,12 +72,8 @@ def export_policy(
     try:
         content = _write(env.base_env, environment, policy, stage)
         content |= {"versions": versions() | tools, **plain(about or {})}
-        content["files"] = {
-            name: {"bytes": (stage / name).stat().st_size, "sha256": fingerprint(stage / name)}
-            for name in (MODEL, ARCHIVE)
-        }
-        sealed = {"sha256": digest(content), "content": content}
-        (stage / CONTRACT).write_text(json.dumps(sealed, indent=1) + "\n", encoding="utf-8")
+        content["files"] = {name: fingerprint(stage / name) for name in (MODEL, ARCHIVE)}
+        (stage / CONTRACT).write_text(sealed(content), encoding="utf-8")
     except Exception:
         shutil.rmtree(stage)
         raise

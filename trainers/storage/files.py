@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import errno
 import fcntl
-import hashlib
-import json
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+from rrl.sealed import fingerprint, sealed, unsealed
 
 SEAL = "seal.json"
 LOCK = ".lock"
@@ -155,22 +155,14 @@ def _locked(path: Path, flags: int) -> int:
 def seal(folder: Path, note: Mapping[str, Any]) -> None:
     """Write ``seal.json`` with size and SHA-256 of every file below ``folder``; fsync all.
 
-    Layout::
-
-        {"sha256": of the canonical JSON of "content",
-         "content": {"version": 2, "files": {"name": {"bytes": n, "sha256": "..."}}, "note": {...}}}
+    Its content is ``{"version": 2, "files": {name: {"bytes": n, "sha256": "..."}}, "note": {}}``.
     """
     files = sorted(p for p in folder.rglob("*") if p.is_file())
-    inventory = {
-        str(p.relative_to(folder)): {"bytes": p.stat().st_size, "sha256": _sha256(p)} for p in files
-    }
-    content = {"version": SCHEMA_VERSION, "files": inventory, "note": dict(note)}
+    inventory = {str(path.relative_to(folder)): fingerprint(path) for path in files}
     for path in files:
         sync(path)
-    write_atomically(
-        folder / SEAL,
-        json.dumps({"sha256": _digest(_canonical(content)), "content": content}, indent=1) + "\n",
-    )
+    content = {"version": SCHEMA_VERSION, "files": inventory, "note": dict(note)}
+    write_atomically(folder / SEAL, sealed(content))
     for directory in (*(p for p in folder.rglob("*") if p.is_dir()), folder):
         sync(directory)
 
@@ -189,10 +181,10 @@ def check_seal(folder: Path) -> dict[str, Any]:
         path = folder / name
         if not path.is_file():
             raise ValueError(f"{name} is missing")
-        size = path.stat().st_size
-        if size != expected["bytes"]:
-            raise ValueError(f"{name} has {size} bytes, {expected['bytes']} were written")
-        if _sha256(path) != expected["sha256"]:
+        found = fingerprint(path)
+        if found["bytes"] != expected["bytes"]:
+            raise ValueError(f"{name} has {found['bytes']} bytes, {expected['bytes']} were written")
+        if found != expected:
             raise ValueError(f"{name} is not what was written (SHA-256 differs)")
     return dict(content["note"])
 
@@ -208,33 +200,13 @@ def read_note(folder: Path) -> dict[str, Any]:
 
 def _read_content(path: Path) -> dict[str, Any]:
     try:
-        sealed = json.loads(path.read_text(encoding="utf-8"))
-        content = sealed["content"]
-        intact = sealed["sha256"] == _digest(_canonical(content))
+        content = unsealed(path.read_bytes())
     except FileNotFoundError:
         raise ValueError(f"{path.name} is missing") from None
-    except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{path.name} is torn: {error}") from error
-    if not intact:
-        raise ValueError(f"{path.name} is not what was written (SHA-256 differs)")
+    except ValueError as error:
+        raise ValueError(f"{path.name} is {error}") from error
     if content["version"] != SCHEMA_VERSION:
         raise ValueError(
             f"written with schema version {content['version']}, this code reads {SCHEMA_VERSION}"
         )
-    return dict(content)
-
-
-def _canonical(content: Any) -> bytes:
-    return json.dumps(content, sort_keys=True, separators=(",", ":")).encode()
-
-
-def _digest(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
-
-
-def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while block := file.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()
+    return content

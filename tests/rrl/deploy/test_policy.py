@@ -18,7 +18,8 @@ from rrl.algorithms import TD3, mlp
 from rrl.controllers import PIDController
 from rrl.deploy import Policy, read_contract
 from rrl.deploy.archive import torch_graph
-from rrl.deploy.contract import ARCHIVE, CONTRACT, MODEL, digest
+from rrl.deploy.contract import ARCHIVE, CONTRACT, MODEL
+from rrl.sealed import sealed
 from rrl.trainers.environment import EnvironmentFactory
 from rrl.trainers.export.folder import export_policy
 from rrl.transforms import FiniteAction, StepLimit
@@ -172,7 +173,7 @@ def test_integers_that_the_entry_cannot_hold_are_refused(folder, tmp_path):
     path = Path(shutil.copytree(folder, tmp_path / "copy")) / CONTRACT
     content = json.loads(path.read_text())["content"]
     content["entries"][1]["dtype"] = "uint8"
-    path.write_text(json.dumps({"sha256": digest(content), "content": content}))
+    path.write_text(sealed(content))
     shown = []
     nothing = {f"report/{e['name']}": np.zeros(1) for e in content["reports"]}
     nothing |= {f"next/{e['name']}": np.zeros(1) for e in content["state"]}
@@ -208,12 +209,11 @@ def test_a_torn_foreign_or_newer_contract_is_refused(folder, tmp_path):
     with pytest.raises(FileNotFoundError, match="expected what `rrl export run=RUN` wrote"):
         Policy(tmp_path, RATE)
     path = Path(shutil.copytree(folder, tmp_path / "copy")) / CONTRACT
-    sealed = json.loads(path.read_text())
+    content = json.loads(path.read_text())["content"]
     path.write_text(path.read_text()[:100])
     with pytest.raises(ValueError, match="torn"):
         Policy(path.parent, RATE)
-    content = {**sealed["content"], "format": 99}
-    path.write_text(json.dumps({"sha256": digest(content), "content": content}))
+    path.write_text(sealed({**content, "format": 99}))
     with pytest.raises(ValueError, match="expected format 1, got 99"):
         Policy(path.parent, RATE)
 
