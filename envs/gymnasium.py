@@ -6,7 +6,6 @@ from collections import UserDict
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import torch
 from torchrl.data import Binary
 from torchrl.envs import GymWrapper
@@ -14,15 +13,11 @@ from torchrl.envs.gym_like import default_info_dict_reader
 
 from rrl.keys import SUCCESS
 
-from .pictures import mujoco_state
-
-Success = str | Callable[[Any], Any]
-
 
 def gymnasium_env(
     make: str | Callable[..., Any],
     *,
-    success: Success | None = None,
+    success: str | Callable[[Any], Any] | None = None,
     any_time: bool = False,
     seed: Callable[[Any, int], Any] | None = None,
     state: Callable[[Any], Any] | None = None,
@@ -56,44 +51,14 @@ def gymnasium_env(
     """
     try:
         import gymnasium
+
+        from .gymnasium_reports import Reporting
     except ImportError as error:
         raise ImportError("a Gymnasium environment needs: pip install gymnasium") from error
-
-    class Reporting(gymnasium.Wrapper):
-        """Seeds, writes ``success`` into every ``info``, tells the state for videos."""
-
-        solved, told = False, False
-
-        def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, Any]:
-            if seed is None or seed_env is None:
-                observation, info = self.env.reset(seed=seed, options=options)
-            else:
-                seed_env(env, seed)
-                observation, info = self.env.reset(options=options)
-            self.solved, self.told = False, False
-            return observation, {**info, SUCCESS: np.array([self.solved])}
-
-        def step(self, action: Any) -> tuple[Any, ...]:
-            *outcome, info = self.env.step(action)
-            if success is not None:
-                self.told = self.told or callable(success) or success in info
-                if not self.told and any(outcome[2:]):
-                    raise KeyError(
-                        f"success: expected an entry of info by the episode's end, which has "
-                        f"{sorted(info)}, got {success!r}"
-                    )
-                solved = success(env) if callable(success) else info.get(success, False)
-                self.solved = bool(solved) or (any_time and self.solved)
-            return (*outcome, {**info, SUCCESS: np.array([self.solved])})
-
-        def physics_state(self) -> Any:
-            return (state or mujoco_state)(env)
-
-    seed_env, env = seed, _made(make, max_episode_steps, arguments)
-    limited = env
+    env = limited = _made(make, max_episode_steps, arguments)
     if max_episode_steps is not None and not isinstance(make, str):
         limited = gymnasium.wrappers.TimeLimit(env, max_episode_steps)
-    wrapped = _Named(Reporting(limited))
+    wrapped = _Named(Reporting(limited, env, success, any_time, seed, state))
     if success is not None:
         flag = Binary(1, (1,), dtype=torch.bool)
         wrapped.set_info_dict_reader(default_info_dict_reader([SUCCESS], {SUCCESS: flag}))

@@ -111,17 +111,7 @@ class Trainer(AbstractContextManager["Trainer"]):
             )
             self.counters = Counters(env_steps=0, restarts=0)
             self.clock, self._resumed = Clock(self.evaluator.lap), False
-            components = {
-                "agent": self.agent,
-                "collection": self.collection,
-                "replay": self.store,
-                "handed_over": self.acceptance,
-                "constraints": self.constraints,
-                "generator": self.learning.generator,
-                "progress": self.counters,
-                "clock": self.clock,
-            }
-            self.checkpoints = Checkpoints(self.run_dir, settings.checkpoint.keep, components)
+            self.checkpoints = Checkpoints(self.run_dir, settings.checkpoint.keep, self._parts())
         self._generators = GlobalRNGState().state_dict()  # whatever is made before the run begins
 
     @property
@@ -220,6 +210,19 @@ class Trainer(AbstractContextManager["Trainer"]):
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+    def _parts(self) -> dict[str, Any]:
+        """Return what checkpoints hold, by name and in their order."""
+        return {
+            "agent": self.agent,
+            "collection": self.collection,
+            "replay": self.store,
+            "handed_over": self.acceptance,
+            "constraints": self.constraints,
+            "generator": self.learning.generator,
+            "progress": self.counters,
+            "clock": self.clock,
+        }
 
     def _round(self) -> None:
         try:
