@@ -128,18 +128,16 @@ class Trainer(AbstractContextManager["Trainer"]):
         """Continue from the run's newest checkpoint that is whole.
 
         A simulation goes on in the middle of its episode and makes again what it made after the
-        checkpoint. An environment that cannot starts a new episode; :meth:`run` first learns from
-        the transitions that were stored after the checkpoint, as it did before, and goes on from
-        the last of them.
+        checkpoint. An environment that cannot starts a new episode; :meth:`run` first learns again
+        from what was stored after the checkpoint, and goes on from there.
 
         Raises:
             FileNotFoundError: If there is none.
             ValueError: If none is whole, or the configuration is not the run's own.
         """
         self.checkpoints.claim()
-        path, note, torn = newest_whole(
-            self.run_dir, lambda note: self.store.check(note["transitions"])
-        )
+        check = self.store.check
+        path, note, torn = newest_whole(self.run_dir, lambda note: check(note["transitions"]))
         reads = self.collection.interface.described()
         require_same_run(note["config"] | note.get("interface", reads), self.config | reads)
         self.checkpoints.load(path, torn)
