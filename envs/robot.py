@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, TensorSpec, Unbounded
 from torchrl.envs import EnvBase
 
 from rrl.keys import ACTION, REWARD
 from rrl.pace import Pace
-from rrl.robot import EntrySpec, Observation, Robot, RobotFault
+from rrl.robot import Description, EntrySpec, Observation, Robot, RobotFault
 
 log = logging.getLogger(__name__)
 
@@ -42,7 +43,9 @@ class RobotEnv(EnvBase):
         control_period: Seconds from one action to the next.
 
     Raises:
-        ValueError: If the description has no ``reward`` or an entry that cannot be, or an
+        TypeError: If ``robot`` is or makes no robot with a description, or ``observe()`` returns
+            something else than an observation.
+        ValueError: If the description has no ``reward``, an entry or bounds that cannot be, or an
             observation is not as described.
         RobotFault: By steps and resets, if the robot is silent, frozen or refuses, or measures what
             is not finite.
@@ -52,7 +55,7 @@ class RobotEnv(EnvBase):
         self, robot: Robot | Callable[[], Robot], episode_steps: int = 1000, seed: int | None = 0
     ) -> None:
         super().__init__(device="cpu", batch_size=[])
-        self.robot = robot if isinstance(robot, Robot) else robot()
+        self.robot = _made(robot)
         self.description, self.episode_steps = self.robot.description, episode_steps
         self.control_period = self.description.period
         self.pace = Pace(self.control_period)
@@ -92,10 +95,7 @@ class RobotEnv(EnvBase):
             if name not in (REWARD, *FLAGS):
                 observation[tuple(name.split("/"))] = _spec(entry)
         self.observation_spec = observation
-        low, high = (
-            torch.tensor(bound, dtype=torch.float32)
-            for bound in (self.description.low, self.description.high)
-        )
+        low, high = _bounds(self.description)
         self.action_spec = Bounded(low, high, shape=low.shape, dtype=torch.float32)
         self.reward_spec = Unbounded((1,), dtype=torch.float32)
         self.done_spec = Composite(
@@ -115,7 +115,8 @@ class RobotEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         if not self._stopped:
-            self.robot.command(tensordict[ACTION].detach().numpy())
+            # A copy: a driver may write into what it is given.
+            self.robot.command(tensordict[ACTION].detach().numpy().copy())
         self.pace.wait()
         self._steps += 1
         return self._read()
@@ -134,6 +135,10 @@ class RobotEnv(EnvBase):
 
     def _checked(self, observation: Observation) -> dict[str, Any]:
         """Return the described entries as tensors."""
+        if not isinstance(observation, Observation):
+            raise TypeError(
+                f"observe(): expected an rrl.robot.Observation, got a {type(observation).__name__}"
+            )
         if observation.time <= self._measured_at:
             raise RobotFault(
                 f"frozen: expected an observation after {self._measured_at:.3f} s of the robot's "
@@ -151,6 +156,33 @@ class RobotEnv(EnvBase):
                 raise RobotFault(f"{name}: expected finite numbers, got {array.tolist()}")
             entries[name] = torch.from_numpy(array)
         return entries
+
+
+def _made(robot: Any) -> Robot:
+    made = robot if isinstance(robot, Robot) or not callable(robot) else robot()
+    if not isinstance(made, Robot):
+        raise TypeError(
+            "robot: expected an rrl.robot.Robot, a class derived from it or what makes one, got a "
+            f"{type(made).__name__}"
+        )
+    if not isinstance(getattr(made, "description", None), Description):
+        raise TypeError(
+            f"robot: expected a {type(made).__name__} with a description, an "
+            f"rrl.robot.Description, got {getattr(made, 'description', None)!r}"
+        )
+    return made
+
+
+def _bounds(description: Description) -> tuple[Tensor, Tensor]:
+    low, high = (
+        torch.as_tensor(bound, dtype=torch.float32) for bound in (description.low, description.high)
+    )
+    if low.ndim != 1 or low.shape != high.shape or (low > high).any():
+        raise ValueError(
+            "description: expected low and high, a number for each dimension of the action, "
+            f"low no more than high, got {description.low} and {description.high}"
+        )
+    return low, high
 
 
 def _readable(name: str, shape: Sequence[int], dtype: str) -> EntrySpec:

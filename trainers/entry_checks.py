@@ -5,7 +5,8 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
+from math import isclose
+from typing import Any, Literal, get_args
 
 import torch
 from torch import nn
@@ -13,11 +14,26 @@ from torchrl.data import Composite, TensorSpec
 from torchrl.data.tensor_specs import NonTensor
 from torchrl.envs import EnvBase
 
-from rrl.keys import ACTION, DIVERGED, METRICS, REWARD_TERMS, SAFETY, SUCCESS
+from rrl.inputs import Input
+from rrl.keys import ACTION, DIVERGED, METRICS, REWARD, REWARD_TERMS, SAFETY, SUCCESS
 
+from .metric import Metric
 from .metric_names import ABOVE, P99
 
-__all__ = ["check_action", "check_factory", "check_number", "check_reported", "make_native"]
+__all__ = [
+    "Batching",
+    "check_action",
+    "check_base",
+    "check_factory",
+    "check_number",
+    "check_period",
+    "check_reported",
+    "check_reward",
+    "make_native",
+]
+
+Batching = Literal["native", "serial", "parallel"]
+BATCHINGS = get_args(Batching)
 
 FLOATING = (torch.float16, torch.float32, torch.float64)
 INTEGERS = (torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64)
@@ -28,7 +44,9 @@ def check_factory(fields: Mapping[str, Any]) -> None:
     """Refuse fields of an environment's factory that look right and are something else.
 
     Raises:
-        TypeError: If one of them is a part instead of what makes it, or inputs are a single name.
+        TypeError: If one of them is a part instead of what makes it, inputs are a single name, or a
+            list, an input or a metric is something else.
+        ValueError: If ``batching`` is unknown or there are no steps.
     """
     _check_controller(fields["controller"])
     for name, given in fields.items():
@@ -41,6 +59,24 @@ def check_factory(fields: Mapping[str, Any]) -> None:
     for name in ("inputs", "critic_inputs"):
         if isinstance(given := fields[name], str):
             raise TypeError(f"{name}: expected names in a list, got {given!r}; write [{given!r}]")
+        _check_values(name, given, Input)
+    _check_values("metrics", fields["metrics"], Metric)
+    for name in ("safety", "disturbances", "sensing"):
+        if not isinstance(given := fields[name], (list, tuple)):
+            raise TypeError(f"{name}: expected a list of what makes transforms, got {given!r}")
+    if fields["batching"] not in BATCHINGS:
+        choices = ", ".join(BATCHINGS)
+        raise ValueError(f"batching: expected one of {choices}, got {fields['batching']!r}")
+    steps = fields["max_episode_steps"]
+    if not isinstance(steps, int) or isinstance(steps, bool) or steps < 1:
+        raise ValueError(f"max_episode_steps: expected a whole number above 0, got {steps!r}")
+
+
+def _check_values(name: str, given: Any, kind: type) -> None:
+    """Refuse plain dictionaries, as YAML has them, in the place of a dataclass."""
+    for key, value in given.items() if isinstance(given, Mapping) else ():
+        if not isinstance(value, kind):
+            raise TypeError(f"{name}: expected {key!r} to be a {kind.__name__}(...), got {value!r}")
 
 
 def _check_controller(given: Any) -> None:
@@ -85,6 +121,47 @@ def make_native(base: Callable[..., EnvBase], num_envs: int) -> EnvBase:
             f'base: expected what takes num_envs, because batching is "native", got {base!r}; '
             'batching="serial" makes each slot by a call without it'
         ) from error
+
+
+def check_base(base: Any) -> EnvBase:
+    """Return ``base``, which ``base`` made, if it is a TorchRL environment.
+
+    Raises:
+        TypeError: If it is anything else.
+    """
+    if isinstance(base, EnvBase):
+        return base
+    remedy = "; rrl.envs.gymnasium_env makes one of it" if hasattr(base, "action_space") else ""
+    got = "None" if base is None else f"a {type(base).__name__}"
+    raise TypeError(f"base: expected what makes a torchrl.envs.EnvBase, got {got}{remedy}")
+
+
+def check_period(base: EnvBase, given: float | None) -> None:
+    """Refuse another control period than the one that a robot is driven at.
+
+    Raises:
+        ValueError: If ``base`` keeps a pace of its own, and not this one.
+    """
+    pace = getattr(base, "pace", None)
+    if pace is not None and given is not None and not isclose(given, pace.period):
+        raise ValueError(
+            f"control_period: expected null or {pace.period:g}, the robot's own, got {given:g}"
+        )
+
+
+def check_reward(spec: Composite) -> None:
+    """Refuse an environment whose reward is not one number a slot, under the name ``reward``.
+
+    Raises:
+        ValueError: If there is none, or further ones, or of another shape.
+    """
+    leaves = {str(key): spec[key] for key in spec.keys(True, True)}
+    shapes = {name: list(leaf.shape) for name, leaf in leaves.items()}
+    if list(leaves) != [REWARD] or shapes[REWARD] != [*spec.shape, 1]:
+        raise ValueError(
+            f"reward: expected one entry {REWARD!r} of the shape {[*spec.shape, 1]}, one number a "
+            f"slot, got {shapes}"
+        )
 
 
 def check_action(spec: Composite) -> None:

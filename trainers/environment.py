@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase, ParallelEnv, SerialEnv
@@ -25,15 +25,22 @@ from rrl.transforms import (
 
 from .conversions import convert
 from .descriptions import plain
-from .entry_checks import check_action, check_factory, check_reported, make_native
+from .entry_checks import (
+    Batching,
+    check_action,
+    check_base,
+    check_factory,
+    check_period,
+    check_reported,
+    check_reward,
+    make_native,
+)
 from .input_entries import as_inputs, read_inputs
 from .metric import Metric
 from .resumable_env import ResumableEnv
 from .workers import WorkerErrors, keep_sockets_short
 
 __all__ = ["Batching", "EnvironmentFactory", "Input"]
-
-Batching = Literal["native", "serial", "parallel"]
 
 
 @dataclass(frozen=True)
@@ -120,16 +127,20 @@ class EnvironmentFactory:
         Raises:
             KeyError: If an input or the controller names an entry that the environment lacks, or
                 its action is called otherwise.
-            TypeError: If an input holds no numbers, or the action is not continuous.
-            ValueError: If the action is no vector, an entry that is reported is not one number a
-                slot, or ``metrics`` names one that the environment does not write.
+            TypeError: If ``base`` makes something else, an input holds no numbers, or the action is
+                not continuous.
+            ValueError: If the action is no vector, reward or an entry that is reported is not one
+                number a slot, ``control_period`` is not the robot's own, or ``metrics`` names one
+                that the environment does not write.
         """
         errors = WorkerErrors() if self.batching == "parallel" and num_envs > 1 else None
         env = ResumableEnv(self._make_base(num_envs, errors), Compose())
         env.__dict__["worker_errors"] = errors
         if self.judged:
             env.append_transform(JudgedSuccess())
+        check_period(env.base_env, self.control_period)
         check_action(env.full_action_spec)
+        check_reward(env.full_reward_spec)
         check_reported(env.observation_spec, env.ndim, self.metrics)
         convert(env)
         for make in (*self.safety, *self.disturbances, *self.sensing):
@@ -205,9 +216,9 @@ class EnvironmentFactory:
 
     def _make_base(self, num_envs: int, errors: WorkerErrors | None) -> EnvBase:
         if self.batching == "native":
-            return make_native(self.base, num_envs)
+            return check_base(make_native(self.base, num_envs))
         if num_envs == 1:
-            return self.base()
+            return check_base(self.base())
         if errors is None:
             return SerialEnv(num_envs, self.base)
         keep_sockets_short()

@@ -4,9 +4,14 @@
 :class:`~rrl.robot.Robot` behind a socket too. Needs the extra ``rrl[realtime]``.
 """
 
-from .client import RemoteRobot
-from .faults import inject
-from .server import serve
-from .simulated import SimulatedPlant
+try:
+    from .client import RemoteRobot
+    from .faults import inject
+    from .server import serve
+    from .simulated import SimulatedPlant
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(
+        f"rrl.envs.plant: expected the packages of real time ({error}): pip install 'rrl[realtime]'"
+    ) from error
 
 __all__ = ["RemoteRobot", "SimulatedPlant", "inject", "serve"]

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from contextlib import closing
 from typing import Any
 
+import numpy as np
 import zmq
 
 from rrl.robot import Robot, RobotFault
@@ -127,7 +128,7 @@ class _Desk:
         if name == "describe":
             return {"description": to_message(self.robot.description)}
         if name == "command":
-            self.robot.command(call["action"])
+            self.robot.command(np.array(call["action"]))  # what was unpacked is read-only
         elif name == "reset":
             if self.faults.active("refuse"):
                 raise RobotFault("told to")

@@ -51,8 +51,11 @@ class Controller(TensorDictModuleBase):
         return tensordict.set(self.out_keys[0], self.act(tensordict))
 
     def read(self, tensordict: TensorDictBase, key: NestedKey) -> Tensor:
-        """Return an entry, or raise a KeyError that says what there is instead."""
-        return require(self.called(), tensordict, key)
+        """Return a copy of an entry, or raise a KeyError that says what there is instead.
+
+        What :meth:`act` writes into it does not reach those who read the entry after it.
+        """
+        return require(self.called(), tensordict, key).clone()
 
     def called(self) -> str:
         """Return what messages call it: the name of its class."""

@@ -33,7 +33,7 @@ class FunctionController(StatefulController):
             without arguments first, so that a configuration can name it.
         in_keys: Observation keys, whose values become its arguments, in this order.
         batched: Call it once with all slots, values ``[*batch, ...]``; only without memory.
-        numpy: Give it NumPy arrays, not tensors.
+        numpy: Give it NumPy arrays, not tensors; None: unless it is a ``torch.nn.Module``.
         out_key: Where the action ``[*batch, n_act]`` goes.
 
     Raises:
@@ -50,7 +50,7 @@ class FunctionController(StatefulController):
         in_keys: Sequence[NestedKey] = ("observation",),
         *,
         batched: bool = False,
-        numpy: bool = True,
+        numpy: bool | None = None,
         out_key: NestedKey = BASE_ACTION,
     ) -> None:
         super().__init__(in_keys, out_key)
@@ -69,7 +69,8 @@ class FunctionController(StatefulController):
             )
         if self.remembers:
             check_memory(_name(function), function)
-        self._function, self._batched, self._numpy = function, batched, numpy
+        self._function, self._batched = function, batched
+        self._numpy = not isinstance(function, nn.Module) if numpy is None else numpy
         self._slots: list[Any] = []  # copies of the object, one a slot, flattened
 
     @property
@@ -180,8 +181,7 @@ class FunctionController(StatefulController):
             ) from error
 
     def _call(self, function: Any, values: Sequence[Tensor]) -> Tensor:
-        # Copies: some functions write into their arguments.
-        given = [_array(value) if self._numpy else value.clone() for value in values]
+        given = [_array(value) if self._numpy else value for value in values]
         try:
             said = getattr(function, "act", function)(*given)
         except Exception as error:

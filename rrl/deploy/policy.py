@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -133,7 +134,9 @@ def _array(entry: Entry, value: ArrayLike) -> NDArray[Any]:
 
 
 def _check_rate(expected: float | None, rate: float | None) -> None:
-    if expected is not None and (rate is None or abs(rate / expected - 1) > RATE_TOLERANCE):
+    if expected is None:
+        return
+    if not isinstance(rate, Real) or not abs(rate / expected - 1) <= RATE_TOLERANCE:
         raise ValueError(
             f"rate: expected {expected:g} control steps a second, as in training, got {rate!r}"
         )

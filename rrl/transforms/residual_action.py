@@ -113,6 +113,11 @@ class ResidualAction(ActionTransform):
         controller, limits = self.controller, self._limits
         with controller.only(mask):
             action = controller.act(tensordict)
+        if not isinstance(action, Tensor):
+            raise TypeError(
+                f"{controller.called()}: expected act() to return a tensor [*batch, n_act], got "
+                f"{'None' if action is None else f'a {type(action).__name__}'}"
+            )
         if limits is None:
             return {"base_action": action}
         if action.shape != limits.shape:

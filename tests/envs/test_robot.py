@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 from torchrl.envs.utils import check_env_specs
 
 from rrl.envs import RobotEnv
@@ -70,3 +71,60 @@ def test_one_number_may_have_no_shape_and_types_go_by_any_name(entries):
 def test_an_entry_that_cannot_be_is_named(entries, message):
     with pytest.raises(ValueError, match=rf"description\.entries: {message}"):
         RobotEnv(Described(**entries))
+
+
+class WritesIntoItsCommand(Described):
+    """Scales what it is told in place, as drivers do."""
+
+    def command(self, action):
+        action *= 0.1
+        super().command(action)
+
+
+def test_what_a_driver_writes_into_its_command_reaches_nobody_else():
+    env = RobotEnv(WritesIntoItsCommand())
+    td = env.reset().set("action", torch.ones(1))
+    assert env.step(td)["action"].item() == 1.0
+
+
+class SaysNothing(Described):
+    def __init__(self):
+        pass
+
+
+class Measures(Described):
+    """Returns something else than an observation."""
+
+    def __init__(self, measured):
+        super().__init__()
+        self._measured = measured
+
+    def observe(self):
+        return self._measured
+
+
+@pytest.mark.parametrize(
+    ("robot", "message"),
+    [
+        (object(), r"robot: expected an rrl\.robot\.Robot.*, got a object"),
+        (dict, r"robot: expected an rrl\.robot\.Robot.*, got a dict"),
+        (SaysNothing, "robot: expected a SaysNothing with a description.*, got None"),
+    ],
+)
+def test_what_is_no_robot_is_refused(robot, message):
+    with pytest.raises(TypeError, match=message):
+        RobotEnv(robot)
+
+
+@pytest.mark.parametrize(("low", "high"), [((1.0,), (-1.0,)), ((-1.0,), (1.0, 1.0)), (-1.0, 1.0)])
+def test_bounds_that_cannot_be_are_refused(low, high):
+    robot = Described()
+    robot.description = Description(robot.description.entries, low, high, period=0.001)
+    with pytest.raises(ValueError, match=r"description: expected low and high, .* no more than"):
+        RobotEnv(robot)
+
+
+@pytest.mark.parametrize("measured", [{"reward": np.ones(1)}, None])
+def test_what_is_no_observation_is_refused(measured):
+    with pytest.raises(TypeError, match=r"observe\(\): expected an rrl\.robot\.Observation, got"):
+        RobotEnv(Measures(measured)).reset()

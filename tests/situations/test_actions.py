@@ -32,6 +32,7 @@ REFUSED = {
     "one-hot": OneHot(4),
     "int64": Bounded(-3, 3, (2,), dtype=torch.int64),
     "empty": Unbounded((0,)),
+    "bounds exchanged": Bounded(torch.tensor([-1.0, 1.0]), torch.tensor([1.0, -1.0]), (2,)),
 }
 
 

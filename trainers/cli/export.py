@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +23,19 @@ def export(config: assembly.Config, run_dir: Path, console: Output) -> None:
     handed_over = trained.handed_over
     if trained.checkpoint and handed_over.tested and not handed_over.env_steps:
         console.say("no policy was accepted: the folder holds the controller alone")
-    environment = assembly.environment(config)
+    environment = replace(assembly.environment(config), control_period=_period(config))
     content = export_policy(environment, handed_over.policy, folder, _about(config, run, trained))
     for line in _summary(content):
         console.say(line)
     for path in sorted(folder.iterdir()):
         console.say(f"  {path}")
+
+
+def _period(config: assembly.Config) -> float | None:
+    """Return the control period that the configuration gives, in seconds; None: none."""
+    trainer, period = config["trainer"], config["env"].get("control_period")
+    driven = trainer["realtime"]["period"] if trainer["collection"] == "realtime" else None
+    return driven or period
 
 
 def _about(config: assembly.Config, run: Path, trained: TrainedRun) -> dict[str, Any]:

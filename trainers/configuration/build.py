@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -77,9 +78,9 @@ def exploration(config: Config) -> Any:
 
 def scenarios(config: Config) -> dict[str, EnvironmentFactory]:
     """Return the environments to evaluate on: the training one with some arguments replaced."""
-    factory = environment(config)
+    factory, base = environment(config), config["env"]["base"]
     return {
-        name: factory.with_overrides(**(overrides or {}))
+        name: replace(factory, base=build({**base, **(overrides or {})}))
         for name, overrides in config["env"]["scenarios"].items()
     }
 

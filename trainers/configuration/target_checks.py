@@ -48,9 +48,7 @@ def _check_build(path: str, node: Target, given: Config, built: dict[str, Any]) 
 
     A function may read earlier runs or play episodes: only its signature is compared.
     """
-    inner = {k: n for k, n in node.items() if isinstance(n, Mapping) and "_target_" in n}
-    found = [p for k, n in inner.items() for p in _check_arguments(f"{path}.{k}", dict(n), None)]
-    found += _check_arguments(path, node, given)
+    found = [*_check_inner(path, node), *_check_arguments(path, node, given)]
     yield from found
     if found or not inspect.isclass(locate(node["_target_"])):
         return
@@ -62,9 +60,16 @@ def _check_build(path: str, node: Target, given: Config, built: dict[str, Any]) 
         yield f"{path}: {_text(error)}"
 
 
+def _check_inner(path: str, node: Target) -> Problems:
+    """Check the arguments of targets among a node's arguments."""
+    for key, inner in node.items():
+        if isinstance(inner, Mapping) and "_target_" in inner:
+            yield from _check_arguments(f"{path}.{key}", dict(inner), None)
+
+
 def _check_environment(path: str, node: Target) -> Problems:
     """Check an environment's arguments by signature, and by ``check_arguments`` if it has one."""
-    found = list(_check_arguments(path, node, {"num_envs": 1}))
+    found = [*_check_inner(path, node), *_check_arguments(path, node, {"num_envs": 1})]
     yield from found
     if found:
         return

@@ -101,12 +101,21 @@ def record(
     played, total = Recording(), 0.0
     with isolated_generators(seed):
         for td, _ in rollout(env, policy, seed, max_steps):
-            played.states.append(np.array(env.base_env.physics_state()))
+            played.states.append(np.array(_physics_state(env.base_env)))
             played.views.append(camera_views(td, inputs))
             total += float(td.get(REWARD, torch.zeros(1)).sum())
             solved = td.get(SUCCESS, None)
             played.outcomes.append(total if solved is None else bool(solved.any()))
     return played
+
+
+def _physics_state(base: Any) -> Any:
+    if not hasattr(base, "physics_state"):
+        raise TypeError(
+            f"base: expected a method physics_state(), which gives the renderer an array of this "
+            f"moment, got a {type(base).__name__} without; or set env.renderer=null"
+        )
+    return base.physics_state()
 
 
 def _label(frames: np.ndarray, title: str, outcomes: Sequence[Outcome]) -> np.ndarray:

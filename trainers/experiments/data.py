@@ -45,7 +45,7 @@ def keep(job: Job, data: Path) -> None:
     run, folder = Run(job.path, job.name), _folder(job, data)
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / CONFIG_FILE, _config(job))
-    if reads_positions(run):
+    if reads_positions(run.config):
         write_atomically(folder / POSITIONS, _json(spatial_variance(run).tolist()))
     write_atomically(folder / METRICS, _record(run))
     write_atomically(folder / VERSIONS, _json(run.versions))

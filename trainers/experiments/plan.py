@@ -29,6 +29,7 @@ from typing import Any
 from ..launch.job import Job, one_seed
 from ..storage.same_run import SEEDS, measured_settings
 from .spec import Experiment, Overrides, Settings
+from .spread import POSITION, reads_positions
 
 __all__ = ["Compose", "Point", "command", "plan_jobs", "plan_points", "replaced", "run_directory"]
 
@@ -138,6 +139,11 @@ def _points_of(
     scale, sweep = settings.scales[settings.scale], experiment.sweep
     common = (*settings.overrides, *scale.overrides, *experiment.overrides)
     common += experiment.scales.get(settings.scale, ())
+    if unknown := sorted(set(experiment.scales) - set(settings.scales)):
+        raise ValueError(
+            f"{experiment.name}.scales: expected some of {', '.join(settings.scales)}, "
+            f"got {unknown[0]!r}"
+        )
     if sweep and settings.scale not in sweep.values:
         raise ValueError(
             f"{experiment.name}.sweep.values: expected values for {settings.scale!r}, "
@@ -183,6 +189,11 @@ def _check(experiment: Experiment, config: Mapping[str, Any], shown: bool) -> No
                 f"{experiment.name}.evaluated_at: expected multiples of trainer.evaluation.every "
                 f"({every}) up to trainer.total_steps ({total}), got {at}"
             )
+    if shown and experiment.figure == "spread" and not reads_positions(config):
+        raise ValueError(
+            f"{experiment.name}.figure: expected runs that read {POSITION!r} for spread, got the "
+            f"inputs {', '.join(config['env']['inputs'])}"
+        )
     if experiment.metric is not None and experiment.metric not in known:
         choices = ", ".join(sorted(known)) or "none"
         raise ValueError(

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..report.runs import Run
 from ..storage.transition_log import FOLDER, TransitionLog
-from .outcomes import Outcome
+
+if TYPE_CHECKING:
+    from .outcomes import Outcome
 
 __all__ = ["POSITIONS", "reads_positions", "spatial_variance", "variances"]
 
@@ -19,9 +23,9 @@ POSITION = "end_effector_position"
 CENTIMETERS = 100.0
 
 
-def reads_positions(run: Run) -> bool:
-    """Return whether the policy reads the end effector's position."""
-    return POSITION in run.config["env"]["inputs"]
+def reads_positions(config: Mapping[str, Any]) -> bool:
+    """Return whether a run's policy reads the end effector's position."""
+    return POSITION in config["env"]["inputs"]
 
 
 def spatial_variance(run: Run) -> NDArray[np.float64]:
@@ -30,7 +34,7 @@ def spatial_variance(run: Run) -> NDArray[np.float64]:
     Raises:
         ValueError: If the policy did not read the position.
     """
-    if not reads_positions(run):
+    if not reads_positions(run.config):
         inputs = list(run.config["env"]["inputs"])
         raise ValueError(
             f"{run.path}: expected {POSITION!r} among the policy's inputs, got {inputs}"

@@ -55,8 +55,16 @@ def agent_factory(
     return make if symmetry is None else partial(make, symmetry=symmetry)
 
 
-def default_agent(environment: EnvironmentFactory) -> Callable[..., Agent]:
-    """Return the default algorithm's factory of learners."""
+def agent_or_default(agent: Any, environment: EnvironmentFactory) -> Callable[..., Agent]:
+    """Return what makes a learner: ``agent``, or of None the default algorithm's factory.
+
+    Raises:
+        TypeError: If ``agent`` makes nothing.
+    """
+    if agent is not None:
+        if not callable(agent):
+            raise TypeError(f"agent: expected what makes a learner, or None, got {agent!r}")
+        return agent
     return agent_factory(default_config()["algorithm"], environment)
 
 

@@ -48,6 +48,19 @@ def episodes_ahead(
     }
 
 
+def require_no_shorter(settings: TrainerSettings, env_steps: int) -> None:
+    """Refuse to go on with a run that has done more than it is to do in all.
+
+    Raises:
+        ValueError: If ``env_steps`` is above ``total_steps``.
+    """
+    if env_steps > settings.total_steps:
+        raise ValueError(
+            f"trainer.total_steps: expected at least {env_steps}, which the run has made already, "
+            f"got {settings.total_steps}"
+        )
+
+
 def evaluation_due(settings: TrainerSettings, env_steps: int) -> bool:
     """Return whether the followed episodes are played after ``env_steps`` of training.
 

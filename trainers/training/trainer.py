@@ -30,7 +30,7 @@ from .clock import Clock, Counters
 from .collecting import closed_if_it_fails, make_collection
 from .collection import Metrics
 from .constraints import Constraints
-from .factories import default_agent, default_exploration
+from .factories import agent_or_default, default_exploration
 from .interface import Exploration
 from .interruption import Interrupted, Interruption
 from .keys import listening
@@ -38,7 +38,7 @@ from .learning import Learning
 from .person import Person
 from .profiling import Profile, Stopwatch, measured
 from .progress import Progress
-from .schedule import announce, checkpoint_due, evaluation_due
+from .schedule import announce, checkpoint_due, evaluation_due, require_no_shorter
 from .torch_setup import configure_torch
 
 log = logging.getLogger(__name__)
@@ -87,7 +87,7 @@ class Trainer(AbstractContextManager["Trainer"]):
         explore = exploration or default_exploration()
         self.collection = make_collection(settings, environment, explore, self.run_dir)
         with closed_if_it_fails(self.collection):
-            make_agent = agent or default_agent(environment)
+            make_agent = agent_or_default(agent, environment)
             self.agent = make_agent(**self.collection.interface.arguments()).to(settings.device)
             self.collection.set_policy(self.agent.policy)
             self.store = ReplayStore(
@@ -133,7 +133,7 @@ class Trainer(AbstractContextManager["Trainer"]):
 
         Raises:
             FileNotFoundError: If there is none.
-            ValueError: If none is whole, or the configuration is not the run's own.
+            ValueError: If none is whole, the configuration is not the run's own, or more is done.
         """
         self.checkpoints.claim()
         check = self.store.check
@@ -141,6 +141,7 @@ class Trainer(AbstractContextManager["Trainer"]):
         reads = self.collection.interface.described()
         require_same_run(note["config"] | note.get("interface", reads), self.config | reads)
         self.checkpoints.load(path, torn)
+        require_no_shorter(self.settings, self.env_steps)
         if self.collection.can_continue:
             self.store.set_pending_aside()
         else:
@@ -148,8 +149,7 @@ class Trainer(AbstractContextManager["Trainer"]):
             seed = first_seed(Stream.TRAINING, self.settings.seed, self.counters["restarts"])
             self.collection.start_episode(seed)
             self.store.keep_whole_rounds(self.settings.steps_per_round)
-        self._resumed = True
-        self._generators = GlobalRNGState().state_dict()
+        self._resumed, self._generators = True, GlobalRNGState().state_dict()
         return path
 
     def run(self) -> dict[str, Comparison]:

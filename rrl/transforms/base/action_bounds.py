@@ -52,9 +52,18 @@ def action_leaf(action_spec: Composite, key: NestedKey) -> TensorSpec:
 
 
 def limits_of(spec: TensorSpec) -> ActionLimits:
-    """Return the limits of an action spec; each tensor has the spec's shape."""
+    """Return the limits of an action spec; each tensor has the spec's shape.
+
+    Raises:
+        ValueError: If a lower bound is above the upper one.
+    """
     if isinstance(spec, Bounded):
         low, high = spec.space.low, spec.space.high
+        if (low > high).any():
+            raise ValueError(
+                "action: expected bounds with low no more than high, got "
+                f"{low.tolist()} and {high.tolist()}"
+            )
         largest = torch.finfo(spec.dtype).max
         # TorchRL writes "unbounded" as the largest number of the dtype.
         low = torch.where(low <= -largest, -torch.inf, low)

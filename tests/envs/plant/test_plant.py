@@ -1,5 +1,7 @@
 """The plant moves by itself, and tells by faults what it does not do."""
 
+import importlib
+import sys
 import time
 from functools import partial
 
@@ -170,3 +172,11 @@ def inject_death(where, process):
 def test_what_is_no_fault_is_refused(address):
     with pytest.raises(RobotFault, match="kind: expected one of drop, delay"):
         inject(address, "sulk")
+
+
+def test_without_its_packages_the_extra_is_named(monkeypatch):
+    for name in [name for name in sys.modules if name.startswith("rrl.envs.plant")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "zmq", None)
+    with pytest.raises(ModuleNotFoundError, match=r"pip install 'rrl\[realtime\]'"):
+        importlib.import_module("rrl.envs.plant")

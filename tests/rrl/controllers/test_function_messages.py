@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
+from torch import nn
 from torchrl.envs import TransformedEnv
 
 from rrl.controllers import FunctionController
@@ -128,3 +129,9 @@ def test_what_a_reset_raises_names_the_object() -> None:
 
     with pytest.raises(RuntimeError, match=r"^controller Stuck: the gripper is closed$"):
         FunctionController(Stuck, KEYS[:1]).act(state([2]))
+
+
+def test_a_network_gets_tensors() -> None:
+    controller = FunctionController(nn.Linear(2, 2), ["goal"])
+    assert controller.act(state([])).shape == (2,)
+    assert controller.outside_torch is None

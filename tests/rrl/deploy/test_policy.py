@@ -139,7 +139,7 @@ def test_the_contract_says_what_goes_in_and_comes_out(folder):
     assert set(content["files"]) == {MODEL, ARCHIVE}
 
 
-@pytest.mark.parametrize("rate", [None, 20.0, 51.0])
+@pytest.mark.parametrize("rate", [None, 20.0, 51.0, "50", float("nan")])
 def test_a_wrong_rate_is_refused(folder, rate):
     with pytest.raises(ValueError, match=f"rate: expected 50 control steps a second.*{rate}"):
         Policy(folder, rate)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
+import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
@@ -275,3 +276,37 @@ def test_a_second_residual_under_another_key() -> None:
         ResidualAction(ZeroController(2), base_action_key="second_base_action"),
     )
     check_env_specs(TransformedEnv(PointMass(), two))
+
+
+class Says(ZeroController):
+    """Returns something else than a tensor."""
+
+    def __init__(self, said) -> None:
+        super().__init__(2)
+        self._said = said
+
+    def act(self, tensordict):
+        return self._said
+
+
+@pytest.mark.parametrize(
+    ("said", "got"), [(None, "None"), ([0.0, 0.0], "a list"), (np.zeros(2), "a ndarray")]
+)
+def test_a_controller_that_returns_no_tensor(said, got) -> None:
+    env = TransformedEnv(PointMass([]), ResidualAction(Says(said)))
+    with pytest.raises(TypeError, match=rf"Says: expected act\(\) to return a tensor .* got {got}"):
+        env.reset()
+
+
+class WritesIntoWhatItReads(ZeroController):
+    """Subtracts in place."""
+
+    def act(self, tensordict):
+        goal = self.read(tensordict, "goal")
+        goal -= 100.0
+        return torch.zeros_like(goal)
+
+
+def test_what_a_controller_writes_into_an_entry_reaches_nobody_else() -> None:
+    env = TransformedEnv(PointMass([]), ResidualAction(WritesIntoWhatItReads(2)))
+    assert env.reset()["goal"].abs().max() < 10.0

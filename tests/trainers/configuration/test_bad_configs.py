@@ -33,6 +33,7 @@ BROKEN = {
     ],
     "+controller.gian=0.1": ["controller", "does not take 'gian'", "gain"],
     "+env.base.clearence=0.1": [BASE, "'clearence'", "clearance"],
+    "env=robot/plant +env.base.robot.adress=x": [f"{BASE}.robot", "'adress'", "address"],
     "+env.inputs.goal.mean=0.1": ["env.inputs.goal", "expected loc and scale", "mean"],
     "+env.symmetry={}": ["env.symmetry: unknown key"],
     "+algorithm.agent.encoder.depth=2": [AGENT, "does not take 'depth'", "channels"],

@@ -89,3 +89,10 @@ def test_switches_at_their_defaults_change_nothing(plain, tmp_path):
     off += ["algorithm.exploration.sigma_end=0.3", "trainer.n_step=1"]
     weights = learned(tmp_path, "algorithm=td3", *off)
     assert all(torch.equal(weights[name], value) for name, value in plain["td3"].items())
+
+
+def test_a_scenario_may_exchange_what_the_environment_is_made_of():
+    other = "{_target_: rrl.envs.plant.RemoteRobot, address: 'ipc:///tmp/other'}"
+    config = compose(["env=robot/plant", f"+env.scenarios.other.robot={other}"])
+    base = assembly.scenarios(config)["other"].base
+    assert base.keywords["robot"].keywords == {"address": "ipc:///tmp/other"}

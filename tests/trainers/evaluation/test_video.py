@@ -8,7 +8,7 @@ import pytest
 from imageio_ffmpeg import count_frames_and_secs
 
 from pixel_envs import PixelPoint
-from rrl.controllers import ProportionalController
+from rrl.controllers import ProportionalController, ZeroController
 from rrl.envs import InsertionEnv, RenderingUnavailable, render_states
 from rrl.trainers.environment import EnvironmentFactory, Input
 from rrl.trainers.evaluation.rollout import run_episodes, zero_residual
@@ -91,3 +91,12 @@ def test_what_the_policy_sees_stands_beside_the_scene(channels, cameras, tmp_pat
         pixels = seen[-1][-1].repeat(2, axis=0).repeat(2, axis=1)
         np.testing.assert_array_equal(last[32:, 64:96], pixels)
         assert pixels[..., :2].max((0, 1)).min() > 50  # red the point, green the goal
+
+
+def test_an_environment_without_a_state_to_draw_is_named(environment):
+    factory = EnvironmentFactory(
+        PixelPoint, ZeroController, inputs=["goal"], batching="serial", max_episode_steps=6
+    )
+    env = factory.make()
+    with pytest.raises(TypeError, match=r"base: expected a method physics_state\(\), .* PixelPoint"):
+        record(env, zero_residual(env), seed=5, max_steps=6)

@@ -1,0 +1,98 @@
+"""An environment's factory whose parts are something else: refused by name before anything is collected."""
+
+from functools import partial
+
+import pytest
+import torch
+from torchrl.data import Composite, Unbounded
+
+from rrl.controllers import ZeroController
+from rrl.envs import RobotEnv, gymnasium_env
+from rrl.robot import Description, EntrySpec, Robot
+from rrl.trainers import EnvironmentFactory, Trainer
+from rrl.transforms import StepLimit
+from situation_envs import Machine
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"safety": StepLimit}, "safety: expected a list of what makes transforms, got"),
+        ({"inputs": {"position": {}}}, r"inputs: expected 'position' to be a Input\(...\), got {}"),
+        ({"metrics": {"force": {"unit": "N"}}}, "metrics: expected 'force' to be a Metric"),
+        ({"batching": "natve"}, "batching: expected one of native, serial, parallel, got 'natve'"),
+        ({"max_episode_steps": 0}, "max_episode_steps: expected a whole number above 0, got 0"),
+        ({"max_episode_steps": 50.0}, "max_episode_steps: expected a whole number above 0, got 50"),
+    ],
+)
+def test_a_field_that_is_something_else_is_named(changes, message):
+    fields = {"base": Machine, "controller": ZeroController, "inputs": ["position"], **changes}
+    with pytest.raises((TypeError, ValueError), match=message):
+        EnvironmentFactory(**fields)
+
+
+def nothing():
+    Machine()
+
+
+def of_gymnasium():
+    gymnasium = pytest.importorskip("gymnasium")
+    return gymnasium.make("Pendulum-v1")
+
+
+@pytest.mark.parametrize(
+    ("base", "message"),
+    [
+        (nothing, "base: expected what makes a torchrl.envs.EnvBase, got None$"),
+        (of_gymnasium, "base: expected .*, got a TimeLimit; rrl.envs.gymnasium_env makes one"),
+    ],
+)
+def test_a_base_that_is_no_environment_is_refused(factory, base, message):
+    with pytest.raises(TypeError, match=message):
+        factory(base).make()
+
+
+class Rewards(Machine):
+    """Has the rewards that are given, by name, without batch dimensions."""
+
+    def __init__(self, **rewards):
+        super().__init__()
+        self.full_reward_spec = Composite(
+            {name: Unbounded(shape) for name, shape in rewards.items()}
+        )
+
+
+@pytest.mark.parametrize(
+    "rewards", [{"reward": (2,)}, {"rewards": (1,)}, {"reward": (1,), "cost": (1,)}]
+)
+def test_a_reward_that_is_not_one_number_is_refused(factory, rewards):
+    with pytest.raises(ValueError, match=r"reward: expected one entry 'reward' of the shape \[1\]"):
+        factory(partial(Rewards, **rewards)).make()
+
+
+class Arm(Robot):
+    """Describes itself, and does nothing."""
+
+    description = Description({"reward": EntrySpec((1,))}, (-1.0,), (1.0,), period=0.05)
+    observe = command = reset = stop = lambda *_: None
+
+
+@pytest.mark.parametrize(("period", "fits"), [(None, True), (0.05, True), (0.1, False)])
+def test_the_control_period_is_the_robot_s_own(factory, period, fits):
+    made = factory(partial(RobotEnv, Arm), ["base_action"], control_period=period)
+    if fits:
+        assert made.make().base_env.control_period == 0.05
+    else:
+        with pytest.raises(ValueError, match=r"control_period: expected null or 0\.05.*, got 0.1"):
+            made.make()
+
+
+def test_gymnasium_s_environment_fits(factory):
+    pytest.importorskip("gymnasium")
+    env = factory(partial(gymnasium_env, "Pendulum-v1"), ["observation"]).make()
+    assert torch.isfinite(env.reset()["observation"]).all()
+
+
+def test_a_folder_in_the_learner_s_place_is_named(factory, tmp_path):
+    with pytest.raises(TypeError, match="agent: expected what makes a learner, or None, got 'out'"):
+        Trainer(None, factory(Machine), "out", run_dir=tmp_path)
