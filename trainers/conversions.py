@@ -5,7 +5,12 @@ from __future__ import annotations
 import torch
 from tensordict import TensorDictBase
 from torchrl.envs import TransformedEnv
-from torchrl.envs.transforms import DeviceCastTransform, DoubleToFloat, DTypeCastTransform
+from torchrl.envs.transforms import (
+    DeviceCastTransform,
+    DoubleToFloat,
+    DTypeCastTransform,
+    Transform,
+)
 
 from rrl.keys import ACTION, DIVERGED, SUCCESS
 
@@ -18,7 +23,9 @@ def convert(env: TransformedEnv) -> None:
     """Append transforms after which entries lie on the CPU, in float32, and flags are bool.
 
     The environment gets its actions on its own device and in its own precision, within its bounds.
+    What it shows is copied: it may write into its tensors again.
     """
+    env.append_transform(_Copied(in_keys=[]))
     if env.device not in (None, CPU):
         env.append_transform(DeviceCastTransform(CPU))
     if any(spec.dtype == torch.float64 for spec in env.specs.values(True, True)):
@@ -27,6 +34,22 @@ def convert(env: TransformedEnv) -> None:
         spec = env.observation_spec.get(key, None)
         if spec is not None and spec.dtype != torch.bool:
             env.append_transform(DTypeCastTransform(spec.dtype, torch.bool, in_keys=[key]))
+
+
+class _Copied(Transform):
+    """Has everybody who reads an environment's entries read copies.
+
+    An environment may show a buffer of its own and change it with the next step, before a round is
+    stored. Others may write into what they were given, as TorchRL's collector does at a reset.
+    """
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return next_tensordict.clone()
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return tensordict_reset.clone()
 
 
 class _DoubleToFloat(DoubleToFloat):

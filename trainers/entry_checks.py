@@ -12,7 +12,7 @@ import torch
 from torch import nn
 from torchrl.data import Composite, TensorSpec
 from torchrl.data.tensor_specs import NonTensor
-from torchrl.envs import EnvBase
+from torchrl.envs import EnvBase, ParallelEnv, SerialEnv
 
 from rrl.inputs import Input
 from rrl.keys import ACTION, DIVERGED, METRICS, REWARD, REWARD_TERMS, SAFETY, SUCCESS
@@ -29,6 +29,7 @@ __all__ = [
     "check_period",
     "check_reported",
     "check_reward",
+    "check_slots",
     "make_native",
 ]
 
@@ -136,14 +137,29 @@ def check_base(base: Any) -> EnvBase:
     raise TypeError(f"base: expected what makes a torchrl.envs.EnvBase, got {got}{remedy}")
 
 
+def check_slots(batch_size: torch.Size, num_envs: int) -> None:
+    """Refuse an environment with another number of slots than it was asked for.
+
+    Raises:
+        ValueError: If it has.
+    """
+    if batch_size.numel() != num_envs:
+        raise ValueError(
+            f"base: expected an environment of {num_envs} slots (num_envs), got the batch size "
+            f"{list(batch_size)}"
+        )
+
+
 def check_period(base: EnvBase, given: float | None) -> None:
     """Refuse another control period than the one that a robot is driven at.
 
     Raises:
         ValueError: If ``base`` keeps a pace of its own, and not this one.
     """
+    if given is None or isinstance(base, (SerialEnv, ParallelEnv)):  # a robot has no copies
+        return
     pace = getattr(base, "pace", None)
-    if pace is not None and given is not None and not isclose(given, pace.period):
+    if pace is not None and not isclose(given, pace.period):
         raise ValueError(
             f"control_period: expected null or {pace.period:g}, the robot's own, got {given:g}"
         )

@@ -33,6 +33,7 @@ from .entry_checks import (
     check_period,
     check_reported,
     check_reward,
+    check_slots,
     make_native,
 )
 from .input_entries import as_inputs, read_inputs
@@ -129,13 +130,14 @@ class EnvironmentFactory:
                 its action is called otherwise.
             TypeError: If ``base`` makes something else, an input holds no numbers, or the action is
                 not continuous.
-            ValueError: If the action is no vector, reward or an entry that is reported is not one
-                number a slot, ``control_period`` is not the robot's own, or ``metrics`` names one
-                that the environment does not write.
+            ValueError: If there are not ``num_envs`` slots, the action is no vector, reward or an
+                entry that is reported is not one number a slot, ``control_period`` is not the
+                robot's own, or ``metrics`` names one that the environment does not write.
         """
         errors = WorkerErrors() if self.batching == "parallel" and num_envs > 1 else None
         env = ResumableEnv(self._make_base(num_envs, errors), Compose())
         env.__dict__["worker_errors"] = errors
+        check_slots(env.batch_size, num_envs)
         if self.judged:
             env.append_transform(JudgedSuccess())
         check_period(env.base_env, self.control_period)

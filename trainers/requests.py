@@ -107,15 +107,21 @@ class Requests:
     def before_reset(self, env: EnvBase, repeats: bool) -> None:
         """Wait while there is a pause, with a robot that stands still.
 
+        Raises whatever :attr:`check` does, if a robot's pause ends because the run does.
+
         Args:
             env: A bare environment.
             repeats: Whether it is put back to where its last episode began, if that was asked for.
                 Of those that share the requests one may.
         """
         if self.paused:
-            if (stop := stop_of(env)) is not None:
+            stop = stop_of(env)
+            if stop is None:
+                self._wait()
+            else:
                 stop()
-            self._wait()
+                self._wait()
+                self.check()  # whoever has the run end may have a hand where the robot would go
         self._judged = None
         if repeats and env.batch_size.numel() <= 1:
             self._repeat_start(env)

@@ -4,6 +4,7 @@ from functools import partial
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.data import Composite, Unbounded
 
 from rrl.controllers import ZeroController
@@ -96,3 +97,41 @@ def test_gymnasium_s_environment_fits(factory):
 def test_a_folder_in_the_learner_s_place_is_named(factory, tmp_path):
     with pytest.raises(TypeError, match="agent: expected what makes a learner, or None, got 'out'"):
         Trainer(None, factory(Machine), "out", run_dir=tmp_path)
+
+
+@pytest.mark.parametrize(("batching", "batch_size"), [("serial", [3]), ("native", [3])])
+def test_another_number_of_slots_than_asked_for_is_refused(factory, batching, batch_size):
+    base = partial(Slots, batch_size) if batching == "native" else partial(Machine, batch_size=[3])
+    with pytest.raises(ValueError, match=r"base: expected an environment of 1 slots .*got .*\[3\]"):
+        factory(base, batching=batching).make(1)
+
+
+class Slots(Machine):
+    """Has as many slots as it likes."""
+
+    def __init__(self, batch_size, num_envs):
+        super().__init__(batch_size=batch_size)
+
+
+class InPlace(Machine):
+    """Shows tensors of its own, which it goes on to use."""
+
+    def __init__(self):
+        super().__init__({"position": Unbounded((2,)), "goal": Unbounded((2,))})
+        self.shown, self.goal = torch.zeros(2), torch.ones(2)
+
+    def _observe(self):
+        self.shown += 1.0
+        return TensorDict({"position": self.shown, "goal": self.goal})
+
+
+def test_what_an_environment_shows_is_copied(factory):
+    env = factory(InPlace).make()
+    first = env.reset()
+    seen = first["position"].clone()
+    second = env.step(first.set("action", torch.zeros(2)))["next"]
+    assert torch.equal(first["position"], seen)
+    assert not torch.equal(second["position"], seen)
+    first.zero_()
+    second.zero_()
+    assert torch.equal(env.base_env.goal, torch.ones(2))

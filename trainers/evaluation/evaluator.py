@@ -15,7 +15,7 @@ from ..seeds import Stream, first_seed
 from ..settings import EvaluationSettings
 from .episodes import Comparison, Episodes
 from .frozen import FEW, NOT_FROZEN, replay_difference
-from .rollout import run_episodes, zero_residual
+from .rollout import isolated_generators, run_episodes, zero_residual
 
 log = logging.getLogger(__name__)
 
@@ -175,6 +175,7 @@ class Evaluator:
             batches = -(-episodes // self.settings.slots)
             slots = -(-episodes // batches)
         if (scenario, slots) not in self._envs:
-            self._envs[scenario, slots] = factory.make(slots)
+            with isolated_generators(0):  # whatever it draws to be built, training does not notice
+                self._envs[scenario, slots] = factory.make(slots)
             self._envs[scenario, slots].listen_to(self._requests, repeats=False)
         return self._envs[scenario, slots]

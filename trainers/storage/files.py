@@ -131,6 +131,17 @@ def lock(folder: Path) -> int:
         raise BlockingIOError(f"{folder}: another process is training in this directory") from None
 
 
+def require_unclaimed(folder: Path) -> None:
+    """Raise if another process has claimed a directory; one that is not there yet is free.
+
+    Raises:
+        BlockingIOError: if another process has.
+        OSError: if the file system cannot lock.
+    """
+    if folder.is_dir():
+        os.close(lock(folder))
+
+
 @contextmanager
 def claimed(folder: Path) -> Iterator[None]:
     """Claim a directory, which is made if need be, while the body runs; see :func:`lock`."""

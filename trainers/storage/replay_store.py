@@ -15,6 +15,7 @@ from rrl.interventions import InterventionSampler, relabel_interventions
 from rrl.keys import ACTION, EXCEEDS_AUTHORITY, INTERVENED, INTERVENTION
 from rrl.n_step import STEPS, n_step_transitions
 
+from ..settings import TrainerSettings
 from .finite import require_finite
 from .neighbors import named, put_neighbors
 from .stored_images import StoredImages
@@ -88,6 +89,19 @@ class ReplayStore:
     Attributes:
         count: Transitions stored so far.
     """
+
+    @classmethod
+    def of(cls, settings: TrainerSettings, run_dir: Path, gamma: float) -> ReplayStore:
+        """Return the store of a run with these settings and this discount."""
+        return cls(
+            run_dir,
+            settings.kept_transitions,
+            settings.batch_size,
+            settings.n_step,
+            gamma,
+            settings.device,
+            settings.intervention_share,
+        )
 
     def __init__(
         self,

@@ -110,6 +110,13 @@ class TransitionLog:
             sync(self.folder)
         self._unsynced.clear()
 
+    def sync_all(self) -> None:
+        """Fsync every segment, whichever process has appended to it."""
+        for path in self._segments():
+            sync(path)
+        if self.folder.is_dir():
+            sync(self.folder)
+
     def cut(self, count: int) -> Path | None:
         """Set the records from ``count`` on aside in a tail file of the same format.
 

@@ -23,6 +23,7 @@ from .collection_metrics import Authority, EpisodeReturns, collection_metrics
 from .episode_state import EpisodeInProgress
 from .interface import Annealing, Exploration, Interface, prepare
 from .profiling import measured, watch_collection
+from .torch_setup import seed_generators
 from .torchrl_collector import Collector
 
 Metrics = dict[str, float]
@@ -51,6 +52,18 @@ class Collection(ABC):
     @abstractmethod
     def collect(self, env_steps: int) -> tuple[TensorDictBase, Metrics]:
         """Return transitions ``[E, T]`` of the round that starts at ``env_steps``, and metrics."""
+
+    def recover(self, env_steps: int) -> Metrics:
+        """Return metrics of a round that was stored before the run died, as far as they are kept.
+
+        Args:
+            env_steps: Where the round starts.
+        """
+        return {}
+
+    def release(self) -> None:
+        """End a pause, because the run is to end: nothing waits any longer."""
+        self.tell(Request.GO_ON)
 
     def before_updates(self, next_round: int | None, checkpoint_due: bool) -> None:  # noqa: B027
         """Prepare for the updates of this round, during which the next may be collected.
@@ -178,6 +191,7 @@ class InTurn(Collection):
 
     def start_episode(self, seed: int) -> None:
         """Begin the next episode."""
+        seed_generators(seed)  # or exploration would be that of the steps before
         self.episode.start_anew(seed)
         self._returns.reset()
         self._stands = False

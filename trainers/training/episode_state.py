@@ -70,7 +70,7 @@ class EpisodeInProgress:
 
     def start_anew(self, seed: int) -> None:
         """Begin the next episode; what is random about it comes from ``seed``."""
-        seed_env(self.env.base_env, seed)
+        seed_env(self.env, seed)
         self.collector.reset()
 
 

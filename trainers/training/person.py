@@ -24,6 +24,7 @@ class Person:
 
     def __init__(self, collection: Collection, interruption: Interruption) -> None:
         self._tell, self._interruption = collection.tell, interruption
+        self._end_pause = collection.release
         self.paused = False
         collection.requests.check = interruption.check
         interruption.when_asked.append(self._release)
@@ -70,4 +71,4 @@ class Person:
 
     def _release(self) -> None:
         self.paused = False
-        self._tell(Request.GO_ON)
+        self._end_pause()

@@ -28,13 +28,18 @@ def configure_torch(
     seed = settings.seed + COLLECTOR_OFFSET * collects_only
     if env_steps:
         seed = int(np.random.SeedSequence([seed, env_steps]).generate_state(1)[0])
-    random.seed(seed)
-    np.random.seed(seed)  # noqa: NPY002 - whatever in an environment draws from it
-    torch.manual_seed(seed)
+    seed_generators(seed)
     torch.set_num_threads(settings.threads)
     torch.set_float32_matmul_precision(_precision(settings))
     if settings.flush_denormals and not torch.set_flush_denormal(True):
         warnings.warn("flush_denormals: this processor cannot; going on without", stacklevel=2)
+
+
+def seed_generators(seed: int) -> None:
+    """Seed the generators of Python, NumPy and torch, which any environment may draw from."""
+    random.seed(seed)
+    np.random.seed(seed)  # noqa: NPY002
+    torch.manual_seed(seed)
 
 
 def _precision(settings: TrainerSettings) -> str:

@@ -21,6 +21,7 @@ from ..loggers import CSVLogger, Guarded, MetricsLogger, metrics
 from ..seeds import Stream, first_seed
 from ..settings import TrainerSettings
 from ..storage.checkpoints import Checkpoints, newest_whole, saved_note
+from ..storage.files import require_unclaimed
 from ..storage.finite import require_finite
 from ..storage.replay_store import ReplayStore
 from ..storage.room import require_room
@@ -74,6 +75,7 @@ class Trainer(AbstractContextManager["Trainer"]):
         progress: Progress | None = None,
     ) -> None:
         given, self.run_dir = settings or TrainerSettings(), Path(run_dir)
+        require_unclaimed(self.run_dir)  # before anything touches a robot that is at work
         lengths = saved_note(self.run_dir).get("lengths")
         self.settings = settings = given.derived(environment.max_episode_steps, lengths)
         self.loggers = [Guarded(g) for g in ([CSVLogger()] if loggers is None else loggers)]
@@ -90,15 +92,7 @@ class Trainer(AbstractContextManager["Trainer"]):
             make_agent = agent_or_default(agent, environment)
             self.agent = make_agent(**self.collection.interface.arguments()).to(settings.device)
             self.collection.set_policy(self.agent.policy)
-            self.store = ReplayStore(
-                self.run_dir,
-                settings.kept_transitions,
-                settings.batch_size,
-                settings.n_step,
-                self.agent.gamma,
-                settings.device,
-                settings.intervention_share,
-            )
+            self.store = ReplayStore.of(settings, self.run_dir, self.agent.gamma)
             room, kept = self.collection.interface.room, self.store.capacity
             require_room(self.run_dir, kept, *room, settings.device, written=self.store.log.count)
             self.replay = self.store.replay
@@ -109,7 +103,7 @@ class Trainer(AbstractContextManager["Trainer"]):
             self.learning = Learning(
                 self.agent, self.store, self.constraints, settings, self.run_dir, self.stopwatch
             )
-            self.counters = Counters(env_steps=0, restarts=0)
+            self.counters = Counters(env_steps=0)
             self.clock, self._resumed = Clock(self.evaluator.lap), False
             self.checkpoints = Checkpoints(self.run_dir, settings.checkpoint.keep, self._parts())
         self._generators = GlobalRNGState().state_dict()  # whatever is made before the run begins
@@ -145,10 +139,10 @@ class Trainer(AbstractContextManager["Trainer"]):
         if self.collection.can_continue:
             self.store.set_pending_aside()
         else:
-            self.counters["restarts"] += 1
-            seed = first_seed(Stream.TRAINING, self.settings.seed, self.counters["restarts"])
-            self.collection.start_episode(seed)
             self.store.keep_whole_rounds(self.settings.steps_per_round)
+            # Of what is stored already nothing is drawn again, however often the run dies.
+            seed = first_seed(Stream.TRAINING, self.settings.seed, self.store.log.count)
+            self.collection.start_episode(seed)
         self._resumed, self._generators = True, GlobalRNGState().state_dict()
         return path
 
@@ -246,12 +240,14 @@ class Trainer(AbstractContextManager["Trainer"]):
 
     def _collect_and_store(self) -> Metrics:
         if self.store.pending:  # stored after the checkpoint that was resumed
-            return self.constraints.adapt(self.store.recover(self.settings.steps_per_round))
-        with self.stopwatch("collect"):
-            transitions, values = self.collection.collect(self.env_steps)
+            values = self.collection.recover(self.env_steps)
+            stored = self.store.recover(self.settings.steps_per_round)
+        else:
+            with self.stopwatch("collect"):
+                transitions, values = self.collection.collect(self.env_steps)
+            with self.stopwatch("store"):
+                stored = self.store.extend(transitions)
         self.acceptance.notice(values)
-        with self.stopwatch("store"):
-            stored = self.store.extend(transitions)
         return values | self.constraints.adapt(stored)
 
     def _next_round(self) -> int | None:

@@ -98,5 +98,7 @@ def test_an_environment_without_a_state_to_draw_is_named(environment):
         PixelPoint, ZeroController, inputs=["goal"], batching="serial", max_episode_steps=6
     )
     env = factory.make()
-    with pytest.raises(TypeError, match=r"base: expected a method physics_state\(\), .* PixelPoint"):
+    with pytest.raises(
+        TypeError, match=r"base: expected a method physics_state\(\), .* PixelPoint"
+    ):
         record(env, zero_residual(env), seed=5, max_steps=6)

@@ -170,3 +170,11 @@ def test_a_reader_sees_what_another_process_has_appended_since(tmp_path):
         writer.append(transitions(first, 8))
         assert reader.refresh() == first + 8
         assert_reads(reader, first, first + 8)
+
+
+def test_what_another_process_has_appended_is_on_disk_when_asked_for(tmp_path, monkeypatch):
+    filled(tmp_path).close()
+    reader, synced = TransitionLog(tmp_path), []
+    monkeypatch.setattr("rrl.trainers.storage.transition_log.sync", synced.append)
+    reader.sync_all()
+    assert set(tmp_path.glob("segment_*.bin")) | {tmp_path} == set(synced)

@@ -1,6 +1,7 @@
 """Environments as people have them: what they call things, how they keep their state, what they count in."""
 
 import random
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -14,6 +15,7 @@ from torchrl.envs import EnvBase
 from rrl.controllers import ProportionalController, ZeroController
 from rrl.trainers import EnvironmentFactory, Input
 from rrl.trainers.settings import AcceptanceSettings, CheckpointSettings, EvaluationSettings
+from rrl.trainers.storage.files import claimed
 from runs import assert_same_run, run, run_until
 
 EPISODE = 20
@@ -211,7 +213,7 @@ def test_an_environment_that_cannot_go_on_is_found_out_and_begins_a_new_episode(
     assert said is None or said in caplog.text
     second = make("run", environment)
     second.resume()
-    assert second.counters["restarts"] == 1
+    assert not second.collection.can_continue
     stored = run(second).replay.storage[:]
     assert len(stored) == 120
     assert torch.equal(stored["base_action"][:60], first.replay.storage[:]["base_action"])
@@ -304,3 +306,46 @@ def test_a_controller_without_an_idea_is_fine(make):
         Line, ZeroController, ["position"], batching="serial", max_episode_steps=EPISODE
     )
     assert run(make("run", environment)).env_steps == 120
+
+
+def test_nothing_is_drawn_again_however_often_a_run_dies_between_two_checkpoints(make):
+    once = CheckpointSettings(every=120)
+    for dies_at in (50, 80):  # the round that begins there is stored, and the last that is
+        trainer = make("run", of(Forgetful), checkpoint=once)
+        if dies_at > 50:
+            trainer.resume()
+        run_until(trainer, "store.extend", dies_at)
+    trainer = make("run", of(Forgetful), checkpoint=once)
+    trainer.resume()
+    stored = run(trainer).replay.storage[:]
+    starts = stored["position"][[0, 60, 90]]
+    assert len(torch.unique(starts, dim=0)) == 3
+    noise = stored["action"][[50, 60, 90]] - stored["action"][[51, 61, 91]]
+    assert len(torch.unique(noise, dim=0)) == 3
+
+
+class FreshNetwork(ProportionalController):
+    """Draws weights when it is made, as one does that loads others over them."""
+
+    def __init__(self, *arguments, **settings):
+        nn.Linear(3, 3)
+        super().__init__(*arguments, **settings)
+
+
+def test_what_is_drawn_to_build_an_environment_does_not_reach_the_run(make):
+    environment = replace(of(Line), controller=partial(FreshNetwork, "position", "goal", gain=0.5))
+    whole = run(make("whole", environment))
+    run_until(make("broken", environment), "checkpoints.save", 60)
+    second = make("broken", environment)
+    second.resume()
+    assert_same_run(whole, run(second))
+
+
+def test_a_run_that_is_at_work_is_left_alone(make, tmp_path):
+    def never(**arguments):
+        raise AssertionError("built")
+
+    environment = replace(of(Line), base=never)
+    (tmp_path / "run").mkdir()
+    with claimed(tmp_path / "run"), pytest.raises(BlockingIOError, match="another process"):
+        make("run", environment)

@@ -1,6 +1,7 @@
 """A robot that nobody drives stands still: in a pause, after an evaluation, after a failure."""
 
 import multiprocessing
+import signal
 import threading
 import time
 from dataclasses import replace
@@ -17,6 +18,7 @@ from rrl.trainers.evaluation.evaluator import Evaluator
 from rrl.trainers.requests import Request, Requests, stop_of
 from rrl.trainers.seeds import Stream
 from rrl.trainers.settings import AcceptanceSettings, CheckpointSettings, EvaluationSettings
+from rrl.trainers.training.interruption import Interrupted
 from toy_envs import PointMass
 
 PERIOD, EPISODE_STEPS, PAUSE = 0.005, 10, 0.3
@@ -214,3 +216,18 @@ def test_a_flag_named_stop_is_no_robot():
         stop = False
 
     assert stop_of(Flagged([1])) is None
+
+
+def test_a_robot_is_not_reset_when_the_run_ends_in_a_pause():
+    robot = Carriage()
+    env, requests = RobotEnv(robot, episode_steps=EPISODE_STEPS), Requests()
+
+    def check():
+        raise Interrupted(signal.SIGINT)
+
+    requests.check = check
+    requests.take(Request.PAUSE)
+    robot.at_stop = lambda: requests.take(Request.GO_ON)
+    with pytest.raises(Interrupted):
+        requests.before_reset(env, repeats=False)
+    assert robot.told == ["stop"]

@@ -250,7 +250,7 @@ class Acting:
         self.thread.wait()  # weights are exchanged between two inferences
         assign(self.policy, weights.vector)
         if weights.seed != self._weights.seed:
-            seed_env(self.env.base_env, weights.seed)
+            seed_env(self.env, weights.seed)
         self._weights = weights
 
     def _sleep(self, seconds: float) -> None:

@@ -96,6 +96,10 @@ class RealTime(Collection):
         super().tell(request)
         self._hand_over.tell(request)
 
+    def release(self) -> None:
+        """End a pause here; the process, which is to end as well, leaves the robot where it is."""
+        self.requests.take(Request.GO_ON)
+
     def set_policy(self, policy: TensorDictModuleBase) -> None:
         """Have the process act with ``policy``, from the first collection on."""
         self._policy = policy
@@ -119,15 +123,23 @@ class RealTime(Collection):
                 self._require_process()
             time.sleep(POLL)
         self._relay()
+        return self._read(env_steps)
+
+    def recover(self, env_steps: int) -> Metrics:
+        """Return metrics of a round that was stored before the run died, from the process's log."""
+        self._require_steps(env_steps + self.settings.steps_per_round)
+        return self._read(env_steps)[1]
+
+    def _read(self, env_steps: int) -> tuple[TensorDictBase, Metrics]:
+        end = env_steps + self.settings.steps_per_round
         data = read_usable(self._log, env_steps, end, self.interface.kept)
         cut_episodes(data)
         if bool(data[TIMING, "first"][0]):
             self._returns.reset()
         rollout = data.unsqueeze(0)
-        stored = as_stored(rollout, self.interface.kept)
         values = collection_metrics(rollout, self._authority) | self._returns.metrics(rollout)
         values |= timing_metrics(data, env_steps) | metrics.clock(seconds_of(data))
-        return stored, values
+        return as_stored(rollout, self.interface.kept), values
 
     @property
     def can_continue(self) -> bool:
@@ -153,7 +165,8 @@ class RealTime(Collection):
         self._log.forget(first)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the running returns; all else is in the process and its log."""
+        """Return the running returns; all else is in the process's log, on disk from now on."""
+        self._log.sync_all()
         return {"returns": self._returns.running}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:

@@ -102,8 +102,11 @@ def test_a_person_judges_pauses_and_stops(make):
     trainer.person.go_on()
     wait_for(lambda: steps() > here)
     trainer.person.pause()
+    wait_for(lambda: stands_still(0.5))
+    here = steps()
     trainer.person.stop()
     thread.join(60)
     assert not thread.is_alive()
+    assert steps() == here  # there may be a hand where the robot would go
     trainer.close()
     assert not HandOver(trainer.run_dir / FOLDER).is_alive()
