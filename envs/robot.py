@@ -51,6 +51,8 @@ class RobotEnv(EnvBase):
             is not finite.
     """
 
+    makes_new_tensors = True
+
     def __init__(
         self, robot: Robot | Callable[[], Robot], episode_steps: int = 1000, seed: int | None = 0
     ) -> None:

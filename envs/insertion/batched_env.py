@@ -64,6 +64,9 @@ class InsertionEnv(EnvBase):
         ValueError: If a name is unknown, a number is out of range, or values do not fit together.
     """
 
+    makes_new_tensors = True
+    """Whether what a step or reset gives is changed by nothing that comes later."""
+
     def __init__(
         self,
         variant: str | InsertionConfig = "sim",

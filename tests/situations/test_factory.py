@@ -8,7 +8,7 @@ from tensordict import TensorDict
 from torchrl.data import Composite, Unbounded
 
 from rrl.controllers import ZeroController
-from rrl.envs import RobotEnv, gymnasium_env
+from rrl.envs import InsertionEnv, RobotEnv, gymnasium_env
 from rrl.robot import Description, EntrySpec, Robot
 from rrl.trainers import EnvironmentFactory, Trainer
 from rrl.transforms import StepLimit
@@ -135,3 +135,14 @@ def test_what_an_environment_shows_is_copied(factory):
     first.zero_()
     second.zero_()
     assert torch.equal(env.base_env.goal, torch.ones(2))
+
+
+@pytest.mark.parametrize("variant", ["sim", "real"])
+def test_who_says_so_makes_new_tensors(variant):
+    env = InsertionEnv(variant, num_envs=2)
+    assert env.makes_new_tensors
+    given = [env.reset()]
+    for _ in range(2):
+        given.append(env._step(given[-1].clone().set("action", env.action_spec.zero())))
+    storages = [v.untyped_storage().data_ptr() for td in given for v in td.values(True, True)]
+    assert len(set(storages)) == len(storages)
