@@ -65,6 +65,11 @@ def agent_or_default(agent: Any, environment: EnvironmentFactory) -> Callable[..
         if not callable(agent):
             raise TypeError(f"agent: expected what makes a learner, or None, got {agent!r}")
         return agent
+    return default_agent(environment)
+
+
+def default_agent(environment: EnvironmentFactory) -> Callable[..., Agent]:
+    """Return the default algorithm's factory of learners."""
     return agent_factory(default_config()["algorithm"], environment)
 
 

@@ -5,6 +5,7 @@ import torch
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
+from rrl.trainers.cli.compose import compose as compose_train
 from rrl.trainers.configuration import build as assembly
 
 OF_ALL = [
@@ -93,6 +94,6 @@ def test_switches_at_their_defaults_change_nothing(plain, tmp_path):
 
 def test_a_scenario_may_exchange_what_the_environment_is_made_of():
     other = "{_target_: rrl.envs.plant.RemoteRobot, address: 'ipc:///tmp/other'}"
-    config = compose(["env=robot/plant", f"+env.scenarios.other.robot={other}"])
+    config = compose_train(["env=robot/plant", f"+env.scenarios.other.robot={other}"])
     base = assembly.scenarios(config)["other"].base
     assert base.keywords["robot"].keywords == {"address": "ipc:///tmp/other"}

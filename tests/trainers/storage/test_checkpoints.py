@@ -241,12 +241,15 @@ def test_a_run_is_not_started_over_another(stopped, make):
 def test_two_processes_do_not_train_in_one_directory(stopped, make):
     first = make()
     first.resume()
-    second = make()
     with pytest.raises(BlockingIOError, match="another process is training"):
-        second.resume()
+        make()
     first.close()
+    second, third = make(), make()
     second.resume()
+    with pytest.raises(BlockingIOError, match="another process is training"):
+        third.resume()
     second.close()
+    third.close()
 
 
 def test_what_a_kill_left_half_written_is_swept_away(stopped, make):

@@ -349,3 +349,12 @@ def test_a_run_that_is_at_work_is_left_alone(make, tmp_path):
     (tmp_path / "run").mkdir()
     with claimed(tmp_path / "run"), pytest.raises(BlockingIOError, match="another process"):
         make("run", environment)
+
+
+def test_a_run_does_not_become_shorter_than_it_is(make):
+    run(make("run", of(Line), total_steps=60))
+    with (
+        make("run", of(Line), total_steps=40) as shorter,
+        pytest.raises(ValueError, match=r"total_steps: expected at least 60, .*, got 40"),
+    ):
+        shorter.resume()

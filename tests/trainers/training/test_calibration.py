@@ -9,7 +9,7 @@ from rrl.algorithms import TD3, mlp
 from rrl.trainers.defaults import default_config
 from rrl.trainers.environment import EnvironmentFactory
 from rrl.trainers.settings import CheckpointSettings
-from rrl.trainers.training.factories import agent_or_default
+from rrl.trainers.training.factories import default_agent
 from runs import assert_same_run, run, run_until
 from toy_envs import EPISODE_STEPS
 
@@ -72,7 +72,7 @@ def test_a_run_that_becomes_longer_keeps_what_it_derived(make_trainer, simulated
 
 
 def test_command_line_and_python_share_the_defaults(factory):
-    agent = agent_or_default(None, factory)(inputs={"position": 3}, action_size=2)
+    agent = default_agent(factory)(inputs={"position": 3}, action_size=2)
     given = default_config()["algorithm"]["agent"]
     assert given["gamma"] is None
     assert given["reward_scale"] is None

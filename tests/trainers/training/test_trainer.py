@@ -90,11 +90,6 @@ def test_resuming_equals_never_having_stopped(make_trainer, variant):
     first = make("broken", total_steps=80)
     first.run()
     first.close()
-    with (
-        make("broken", total_steps=40) as shorter,
-        pytest.raises(ValueError, match=r"total_steps: expected at least 80, .*, got 40"),
-    ):
-        shorter.resume()
     second = make("broken", total_steps=120)
     second.resume()
     assert second.env_steps == 80
