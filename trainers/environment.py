@@ -113,10 +113,14 @@ class EnvironmentFactory:
         return replace(self, base=partial(self.base, **overrides))
 
     def described(self) -> dict[str, Any]:
-        """Return what stands around the bare environment: ``{"environment": {name: JSON}}``."""
-        fields = ["controller", "disturbances", "sensing", "safety", "residual_scale"]
+        """Return what decides what is stored: ``{"environment": {name: JSON}}``."""
+        fields = ["base", "controller", "disturbances", "sensing", "safety", "residual_scale"]
         fields += ["batching", "max_episode_steps", "action_history", "symmetries"]
-        return {"environment": plain({n: getattr(self, n) for n in fields}, modules=False)}
+        values = {name: getattr(self, name) for name in fields}
+        for name in ("inputs", "critic_inputs"):
+            read = as_inputs(getattr(self, name) or ())
+            values[name] = {key: [entry.loc, entry.scale] for key, entry in read.items()}
+        return {"environment": plain(values, modules=False)}
 
     def make(self, num_envs: int = 1, *, operated: bool = False) -> ResumableEnv:
         """Build the environment with ``num_envs`` slots.

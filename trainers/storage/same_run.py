@@ -31,6 +31,8 @@ MAY_CHANGE = (
     "env.scenarios*",
     "algorithm.agent.*_lr",
     "algorithm.agent.compiled",
+    "agent.*_lr",
+    "agent.compiled",
 )
 """What a resumed run may have otherwise. All other keys decide what parameters and transitions
 mean, or which random numbers come next."""

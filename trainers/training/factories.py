@@ -10,7 +10,9 @@ from typing import Any
 from rrl.algorithms import Agent
 
 from ..defaults import default_config
+from ..descriptions import plain
 from ..environment import EnvironmentFactory
+from ..settings import TrainerSettings
 
 
 def locate(path: Any) -> Any:
@@ -71,6 +73,14 @@ def agent_or_default(agent: Any, environment: EnvironmentFactory) -> Callable[..
 def default_agent(environment: EnvironmentFactory) -> Callable[..., Agent]:
     """Return the default algorithm's factory of learners."""
     return agent_factory(default_config()["algorithm"], environment)
+
+
+def in_python(
+    settings: TrainerSettings, environment: EnvironmentFactory, agent: Any, exploration: Any
+) -> dict[str, Any]:
+    """Return the configuration of a run that was not made from YAML, as far as JSON has it."""
+    made = plain({"agent": agent, "exploration": exploration}, modules=False)
+    return {"trainer": settings.model_dump(), **environment.described(), **made}
 
 
 def default_exploration() -> Callable[..., Any]:

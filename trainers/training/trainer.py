@@ -31,7 +31,7 @@ from .clock import Clock, Counters
 from .collecting import closed_if_it_fails, make_collection
 from .collection import Metrics
 from .constraints import Constraints
-from .factories import agent_or_default, default_exploration
+from .factories import agent_or_default, default_exploration, in_python
 from .interface import Exploration
 from .interruption import Interrupted, Interruption
 from .keys import listening
@@ -79,7 +79,7 @@ class Trainer(AbstractContextManager["Trainer"]):
         lengths = saved_note(self.run_dir).get("lengths")
         self.settings = settings = given.derived(environment.max_episode_steps, lengths)
         self.loggers = [Guarded(g) for g in ([CSVLogger()] if loggers is None else loggers)]
-        self.config = as_json(config or {"trainer": given.model_dump(), **environment.described()})
+        self.config = as_json(config or in_python(given, environment, agent, exploration))
         self.interruption, self.stopwatch, self.profile = Interruption(), Stopwatch(), Profile()
         self.progress = progress or Progress.silent()
         settings.check_operator(environment.intervention is not None)

@@ -14,6 +14,7 @@ from rrl.trainers.settings import CheckpointSettings
 from rrl.trainers.storage.same_run import differences, require_same_run
 from rrl.transforms import FiniteAction, StepLimit
 from runs import assert_same, run
+from toy_envs import RememberingPointMass
 
 
 def test_a_changed_run_is_refused_with_the_difference(stopped, make):
@@ -42,6 +43,10 @@ def test_more_steps_other_loggers_other_cadence_are_the_same_run(stopped, make):
 POSITION, GOAL = "end_effector_position", "goal"
 
 
+def another_point(num_envs=1):
+    return RememberingPointMass([num_envs])
+
+
 @pytest.mark.parametrize(
     ("changes", "line"),
     [
@@ -55,7 +60,7 @@ POSITION, GOAL = "end_effector_position", "goal"
 )
 def test_other_inputs_are_refused(stopped, make, simulated, changes, line):
     trainer = make(environment=replace(simulated, **changes))
-    with trainer, pytest.raises(ValueError, match=f"not the configuration .*\n  {line}"):
+    with trainer, pytest.raises(ValueError, match=f"(?s)not the configuration .*\n  {line}"):
         trainer.resume()
 
 
@@ -66,11 +71,19 @@ def test_other_inputs_are_refused(stopped, make, simulated, changes, line):
         ({"controller": partial(ZeroController, action_size=2)}, r"environment.controller"),
         ({"max_episode_steps": 21}, r"environment.max_episode_steps: .* -> 21"),
         ({"safety": [FiniteAction, partial(StepLimit, 0.5)]}, r"environment.safety"),
+        ({"base": another_point}, r"environment.base: .* -> \"another_point"),
+        ({"inputs": {POSITION: Input(scale=3.0), GOAL: Input()}}, r"environment.inputs.*3.0"),
     ],
 )
 def test_another_environment_is_refused_in_python_too(stopped, make, simulated, changes, line):
     trainer = make(environment=replace(simulated, **changes))
-    with trainer, pytest.raises(ValueError, match=f"not the configuration .*\n  {line}"):
+    with trainer, pytest.raises(ValueError, match=f"(?s)not the configuration .*\n  {line}"):
+        trainer.resume()
+
+
+def test_another_learner_is_refused_in_python_too(stopped, make):
+    trainer = make(agent=partial(TD3, gamma=0.5))
+    with trainer, pytest.raises(ValueError, match=r"not the configuration .*\n  agent"):
         trainer.resume()
 
 
