@@ -168,8 +168,11 @@ class Trainer(AbstractContextManager["Trainer"]):
         with self.collection.attended(), self.interruption.listening(), progress, keys:
             if self.env_steps == 0:
                 self._save()
-            if self.settings.collection != "realtime":  # there the robot is another process's
+            if self.settings.collection != "realtime":
                 self.evaluator.try_out()
+            elif self.env_steps == 0:  # the robot is another process's, which hands it over once
+                with self.collection.paused():
+                    self.evaluator.try_out()
             if self.env_steps == 0 and self.settings.evaluation.every:
                 self._evaluate()
             while self.env_steps < self.settings.total_steps:

@@ -4,12 +4,15 @@ import logging
 import os
 import signal
 import time
+from dataclasses import replace
 
 import pytest
 import torch
 from torchrl.data import Unbounded
 
 from realtime_runs import PERIOD, Paced, acted, learn, learn_and_be_killed, wait_for
+from rrl.robot import RobotFault
+from rrl.trainers.loggers import read_metrics
 from rrl.trainers.settings import CheckpointSettings, EvaluationSettings
 from rrl.trainers.training.realtime.hand_over import HandOver
 from runs import run
@@ -90,6 +93,7 @@ def test_what_was_acted_is_counted_on_the_disk_and_forgotten_with_the_buffers(ma
 
 def test_killed_learners_lose_nothing_and_the_environment_goes_on(make, tmp_path):
     changes = {"total_steps": 240, "realtime": {"period": 0.04}}
+    changes["checkpoint"] = CheckpointSettings(every=80)  # the learner dies between two of them
     run_dir = tmp_path / "run"
     for until in (60, 100):
         learn_and_be_killed(make, until, **changes)
@@ -101,6 +105,22 @@ def test_killed_learners_lose_nothing_and_the_environment_goes_on(make, tmp_path
     assert_each_once(trainer)
     times = acted(run_dir)["timing", "time"].flatten()
     assert times.diff().min() > 0
+    told = read_metrics(run_dir)
+    size = trainer.settings.steps_per_round
+    assert [step for step, _ in told["train/reward"]] == list(range(size, 241, size))
+    returns = acted(run_dir)["next", "reward"].double().reshape(-1, EPISODE_STEPS).sum(1)
+    assert sum(value for _, value in told["train/return"]) == pytest.approx(float(returns.sum()))
+
+
+def test_a_scenario_that_cannot_be_built_is_found_before_the_first_step(make, factory):
+    def absent(**arguments):
+        raise RobotFault("nobody answers")
+
+    with make() as trainer:
+        trainer.evaluator.scenarios["broken"] = replace(factory, base=absent)
+        with pytest.raises(RuntimeError, match="scenario broken: nobody answers"):
+            trainer.run()
+        assert trainer.env_steps == 0
 
 
 @pytest.mark.slow
