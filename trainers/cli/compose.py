@@ -32,6 +32,8 @@ CONFIGS = "configs"
 OURS = Path(__file__).parents[2] / CONFIGS
 PACKAGE, PRIMARY = "rrl.configs", "train"
 SAVED = "saved_run"
+_PART = re.compile(r"\{|null$")
+"""What stands for a part of a saved configuration; any other value is a choice of ours."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +119,7 @@ def compose_train(overrides: Sequence[str], run_dir: Path | None) -> Composed:
     """
     _prepare()
     if run_dir is not None:
-        _store(run_dir)
+        _store(run_dir, overrides)
         with hydra.initialize(version_base="1.3", config_path=None):
             return Composed(_resolved(hydra.compose(SAVED, list(overrides))), run_dir)
     with hydra.initialize_config_module(PACKAGE, version_base="1.3"):
@@ -155,7 +157,7 @@ def through_hydra(
 
     path, name = (f"pkg://{PACKAGE}", PRIMARY)
     if run_dir is not None:
-        _store(run_dir)
+        _store(run_dir, arguments)
         path, name = (None, SAVED)  # type: ignore[assignment]
     sys.argv = ["rrl", *arguments]
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # main() shows what Hydra raises
@@ -215,13 +217,20 @@ def _resolved(config: DictConfig) -> dict[str, Any]:
     return cast(dict[str, Any], container)
 
 
-def _store(run_dir: Path) -> None:
+def _store(run_dir: Path, overrides: Sequence[str]) -> None:
     """Make a run's configuration known to Hydra; it is resolved, so ``${`` in it is text."""
     path = run_dir / CONFIG_FILE
     with path.open(encoding="utf-8") as file:  # an error of YAML names it
         config = yaml.safe_load(file)
     if not isinstance(config, dict):
         raise ValueError(f"{path}: expected a run's configuration, got {config!r}")
+    for override in overrides:
+        key, _, value = override.partition("=")
+        if isinstance(section := config.get(key), dict) and not _PART.match(value):
+            raise ValueError(
+                f"{key}: expected a change of what this run has, {key}.{next(iter(section), 'KEY')}"
+                f"=..., got {override}: another choice is another run"
+            )
     ConfigStore.instance().store(SAVED, _escaped(config))
 
 

@@ -111,7 +111,7 @@ def _show(
     numbers = [
         write_numbers(e, findings[e.name], figures[e.name].with_suffix(".csv")) for e in known
     ]
-    verdicts = judge(findings)
+    verdicts = judge({e.name: findings[e.name] for e in known if e.paper})
     tasks = [experiment for experiment in known if experiment.figure == "tasks"]
     clips = {e.name: task_videos(findings[e.name], console) for e in tasks}
     video = rescue_video(findings, console) if len(tasks) < len(known) else None

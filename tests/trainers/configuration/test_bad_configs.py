@@ -1,6 +1,7 @@
 """Broken configurations: each gives one message that says where, what was expected and what came."""
 
 import pytest
+import yaml
 from pydantic import ValidationError
 
 from rrl.envs import InsertionEnv
@@ -270,3 +271,20 @@ def test_a_scenario_names_no_file_elsewhere():
 def test_an_escaping_run_has_no_directory():
     with pytest.raises(ValueError, match="escaped"):
         compose_train(["name=../../escaped"], None)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        (
+            "disturbance=bias",
+            r"disturbance: expected a change .*disturbance\..*, got disturbance=bias",
+        ),
+        ("logger=[csv]", r"logger: expected a change .*, got logger=\[csv\]"),
+    ],
+)
+def test_a_saved_run_has_no_groups(tmp_path, override, message):
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(compose([])))
+    with pytest.raises(ValueError, match=message):
+        compose_train([override], tmp_path)
+    assert compose_train(["logger=null"], tmp_path).config["logger"] is None
