@@ -63,7 +63,12 @@ class RobotEnv(EnvBase):
         self.pace = Pace(self.control_period)
         self._steps, self._measured_at = 0, float("-inf")
         self._connected, self._stopped = True, False
-        self._make_specs()
+        try:
+            self._make_specs()
+        except Exception:
+            if self.robot is not robot:  # made here: nobody else can close it
+                self.robot.close()
+            raise
         self._set_seed(seed)
 
     def stop(self) -> None:

@@ -6,16 +6,18 @@ import inspect
 from collections.abc import Callable, Mapping
 from functools import partial
 from math import isclose
+from numbers import Integral
 from typing import Any, Literal, get_args
 
 import torch
 from torch import nn
 from torchrl.data import Composite, TensorSpec
 from torchrl.data.tensor_specs import NonTensor
-from torchrl.envs import EnvBase, ParallelEnv, SerialEnv
+from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, TransformedEnv
 
 from rrl.inputs import Input
 from rrl.keys import ACTION, DIVERGED, METRICS, REWARD, REWARD_TERMS, SAFETY, SUCCESS
+from rrl.pace import Pace
 
 from .metric import Metric
 from .metric_names import ABOVE, P99
@@ -69,7 +71,7 @@ def check_factory(fields: Mapping[str, Any]) -> None:
         choices = ", ".join(BATCHINGS)
         raise ValueError(f"batching: expected one of {choices}, got {fields['batching']!r}")
     steps = fields["max_episode_steps"]
-    if not isinstance(steps, int) or isinstance(steps, bool) or steps < 1:
+    if not isinstance(steps, Integral) or isinstance(steps, bool) or steps < 1:
         raise ValueError(f"max_episode_steps: expected a whole number above 0, got {steps!r}")
 
 
@@ -156,10 +158,13 @@ def check_period(base: EnvBase, given: float | None) -> None:
     Raises:
         ValueError: If ``base`` keeps a pace of its own, and not this one.
     """
-    if given is None or isinstance(base, (SerialEnv, ParallelEnv)):  # a robot has no copies
+    if given is None:
         return
-    pace = getattr(base, "pace", None)
-    if pace is not None and not isclose(given, pace.period):
+    while isinstance(base, TransformedEnv):
+        base = base.base_env
+    batched = isinstance(base, (SerialEnv, ParallelEnv))  # of a robot there are no copies
+    pace = None if batched else getattr(base, "pace", None)
+    if isinstance(pace, Pace) and not isclose(given, pace.period):
         raise ValueError(
             f"control_period: expected null or {pace.period:g}, the robot's own, got {given:g}"
         )

@@ -24,7 +24,7 @@ from rrl.transforms import (
 )
 
 from .conversions import convert
-from .descriptions import plain
+from .descriptions import named, plain
 from .entry_checks import (
     Batching,
     check_action,
@@ -114,12 +114,13 @@ class EnvironmentFactory:
 
     def described(self) -> dict[str, Any]:
         """Return what decides what is stored: ``{"environment": {name: JSON}}``."""
-        fields = ["base", "controller", "disturbances", "sensing", "safety", "residual_scale"]
+        fields = ["controller", "disturbances", "sensing", "safety", "residual_scale"]
         fields += ["batching", "max_episode_steps", "action_history", "symmetries"]
         values = {name: getattr(self, name) for name in fields}
         for name in ("inputs", "critic_inputs"):
             read = as_inputs(getattr(self, name) or ())
-            values[name] = {key: [entry.loc, entry.scale] for key, entry in read.items()}
+            values[name] = {key: [e.loc, e.scale, e.channels] for key, e in read.items()}
+        values["base"] = named(self.base, modules=False)
         return {"environment": plain(values, modules=False)}
 
     def make(self, num_envs: int = 1, *, operated: bool = False) -> ResumableEnv:

@@ -24,13 +24,14 @@ class Stream(IntEnum):
     """Frozen episodes that candidates are tested on; no two candidates of a run get the same."""
 
 
-def first_seed(stream: Stream, seed: int, restart: int = 0) -> int:
+def first_seed(stream: Stream, seed: int, after: int = 0) -> int:
     """Return the seed of slot 0; slot ``i`` has this seed plus ``i``.
 
     Args:
         stream: What the episodes are for.
         seed: Names the set of episodes, from 0 to ``MAX_SEED - 1``. Equal names give equal sets.
-        restart: How often the run has begun anew, as on hardware after a crash.
+        after: Transitions that are stored already, where a run begins anew in their middle, as on
+            hardware after a crash.
 
     Returns:
         A number below 2^31. Streams never meet, as long as a batch has at most 2^28 slots.
@@ -40,5 +41,5 @@ def first_seed(stream: Stream, seed: int, restart: int = 0) -> int:
     """
     if not 0 <= seed < MAX_SEED:
         raise ValueError(f"seed: expected 0 to {MAX_SEED - 1}, got {seed}")
-    digest = hashlib.blake2b(f"{seed}/{restart}".encode(), digest_size=8).digest()
+    digest = hashlib.blake2b(f"{seed}/{after}".encode(), digest_size=8).digest()
     return (int(stream) << _BITS) + int.from_bytes(digest, "little") % MAX_SEED

@@ -36,8 +36,10 @@ PLAIN = [
 def ours(config: Config, options: argparse.Namespace, meter: Meter) -> None:
     """``rrl train`` without table and video."""
     from rrl.trainers.configuration import build as assembly
+    from rrl.trainers.seeds import Stream
 
-    trainer = assembly.trainer(config, Path(tempfile.mkdtemp()))
+    folder = tempfile.TemporaryDirectory()
+    trainer = assembly.trainer(config, Path(folder.name))
     process = getattr(trainer.collection, "_process", None)
     meter.processes = [] if process is None else [process.pid]
     one_round, compare = trainer._round, trainer.evaluator.compare
@@ -49,11 +51,12 @@ def ours(config: Config, options: argparse.Namespace, meter: Meter) -> None:
     def evaluated(*args: Any) -> Any:
         start = time.perf_counter()
         comparison = compare(*args)
-        meter.evaluated(comparison.summary()["success"], time.perf_counter() - start)
+        if Stream.FOLLOWING in args:  # the final evaluation is of one episode
+            meter.evaluated(comparison.summary()["success"], time.perf_counter() - start)
         return comparison
 
     trainer._round, trainer.evaluator.compare = observed, evaluated  # type: ignore[method-assign]
-    with trainer:
+    with folder, trainer:
         trainer.run()
 
 

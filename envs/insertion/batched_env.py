@@ -65,7 +65,10 @@ class InsertionEnv(EnvBase):
     """
 
     makes_new_tensors = True
-    """Whether what a step or reset gives is changed by nothing that comes later."""
+    """Whether what a step or reset gives is changed by nothing that comes later.
+
+    A class derived from this one that shows a buffer of its own says False.
+    """
 
     def __init__(
         self,

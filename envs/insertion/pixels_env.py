@@ -49,8 +49,6 @@ class InsertionPixelsEnv(InsertionEnv):
         RenderingUnavailable: At the first reset, if no OpenGL backend works.
     """
 
-    makes_new_tensors = False  # a picture stands until its slot has changed
-
     def __init__(
         self,
         variant: str | InsertionConfig = "real",

@@ -200,7 +200,7 @@ def _array(value: Tensor) -> Any:
     value = value.detach().cpu()
     if value.dtype == torch.bfloat16:  # unknown to NumPy
         value = value.float()
-    return value.numpy().copy()
+    return value.numpy()
 
 
 def _name(function: Any) -> str:

@@ -128,3 +128,13 @@ def test_bounds_that_cannot_be_are_refused(low, high):
 def test_what_is_no_observation_is_refused(measured):
     with pytest.raises(TypeError, match=r"observe\(\): expected an rrl\.robot\.Observation, got"):
         RobotEnv(Measures(measured)).reset()
+
+
+@pytest.mark.parametrize("made_here", [True, False])
+def test_a_robot_that_was_made_for_an_environment_that_cannot_be_is_closed(made_here):
+    robot, closed = Described(), []
+    robot.description = Description(robot.description.entries, (1.0,), (-1.0,), period=0.001)
+    robot.close = lambda: closed.append(robot)
+    with pytest.raises(ValueError, match="description"):
+        RobotEnv((lambda: robot) if made_here else robot)
+    assert closed == [robot] * made_here

@@ -2,6 +2,7 @@
 
 from functools import partial
 
+import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
@@ -9,7 +10,7 @@ from torchrl.data import Composite, Unbounded
 
 from rrl.controllers import ZeroController
 from rrl.envs import InsertionEnv, RobotEnv, gymnasium_env
-from rrl.robot import Description, EntrySpec, Robot
+from rrl.robot import Description, EntrySpec, Observation, Robot
 from rrl.trainers import EnvironmentFactory, Trainer
 from rrl.transforms import StepLimit
 from situation_envs import Machine
@@ -75,7 +76,12 @@ class Arm(Robot):
     """Describes itself, and does nothing."""
 
     description = Description({"reward": EntrySpec((1,))}, (-1.0,), (1.0,), period=0.05)
-    observe = command = reset = stop = lambda *_: None
+    command = reset = stop = lambda *_: None
+    clock = 0.0
+
+    def observe(self):
+        self.clock += 1.0
+        return Observation({"reward": np.zeros(1)}, self.clock)
 
 
 @pytest.mark.parametrize(("period", "fits"), [(None, True), (0.05, True), (0.1, False)])
@@ -137,9 +143,12 @@ def test_what_an_environment_shows_is_copied(factory):
     assert torch.equal(env.base_env.goal, torch.ones(2))
 
 
-@pytest.mark.parametrize("variant", ["sim", "real"])
-def test_who_says_so_makes_new_tensors(variant):
-    env = InsertionEnv(variant, num_envs=2)
+NEW = [partial(InsertionEnv, "sim", num_envs=2), partial(InsertionEnv, "real", num_envs=2)]
+
+
+@pytest.mark.parametrize("make", [*NEW, partial(RobotEnv, Arm)], ids=["sim", "real", "robot"])
+def test_who_says_so_makes_new_tensors(make):
+    env = make()
     assert env.makes_new_tensors
     given = [env.reset()]
     for _ in range(2):

@@ -228,8 +228,9 @@ def _store(run_dir: Path, overrides: Sequence[str]) -> None:
         key, _, value = override.partition("=")
         if isinstance(section := config.get(key), dict) and not _PART.match(value):
             raise ValueError(
-                f"{key}: expected a change of what this run has, {key}.{next(iter(section), 'KEY')}"
-                f"=..., got {override}: another choice is another run"
+                f"{key}: expected a change of what this run has, such as {key}."
+                f"{next(iter(section), 'KEY')}=..., or without it ~{key}."
+                f"{next(iter(section), 'KEY')}, got {override}; a saved run has no other choices"
             )
     ConfigStore.instance().store(SAVED, _escaped(config))
 

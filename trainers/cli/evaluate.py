@@ -16,7 +16,7 @@ from ..evaluation.evaluator import Evaluator
 from ..evaluation.video import render_comparison
 from ..launch.job import Job, one_seed
 from ..pretrained import TrainedRun, best_run, trained_run
-from ..report.runs import Group, Record, Run, find_runs
+from ..report.runs import Record, Run, declared_in
 from ..report.tables import handed_over, one_run, rescued, terminal_tables
 from ..seeds import Stream, first_seed
 from ..storage.run_files import VIDEOS, seed_directories
@@ -26,9 +26,9 @@ from ..training.run_policy import RunPolicy
 
 def evaluate(config: assembly.Config, run_dir: Path, console: Output) -> None:
     """Evaluate the newest checkpoint of a run, or of every seed, on every scenario."""
+    declared = declared_in(config)
     for path in seed_directories(run_dir) or [run_dir]:
         results = _evaluate(config, load(config, path, console), console)
-        declared = Group("", tuple(find_runs([path]))).declared
         title = f"{config['name']} ({path})"
         console.print(terminal_tables(one_run(results), declared, title=title))
         time = datetime.now(timezone.utc).strftime("%Y-%m-%d_%H-%M-%S")

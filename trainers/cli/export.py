@@ -11,6 +11,7 @@ from ..configuration import build as assembly
 from ..console import Output
 from ..export.folder import export_policy, require_tools
 from ..pretrained import TrainedRun, best_run
+from ..report.runs import Run
 from ..storage.run_files import EXPORT, RESULTS, VERSIONS
 from .evaluate import load
 
@@ -23,19 +24,14 @@ def export(config: assembly.Config, run_dir: Path, console: Output) -> None:
     handed_over = trained.handed_over
     if trained.checkpoint and handed_over.tested and not handed_over.env_steps:
         console.say("no policy was accepted: the folder holds the controller alone")
-    environment = replace(assembly.environment(config), control_period=_period(config))
+    environment = replace(
+        assembly.environment(config), control_period=assembly.control_period(config)
+    )
     content = export_policy(environment, handed_over.policy, folder, _about(config, run, trained))
     for line in _summary(content):
         console.say(line)
     for path in sorted(folder.iterdir()):
         console.say(f"  {path}")
-
-
-def _period(config: assembly.Config) -> float | None:
-    """Return the control period that the configuration gives, in seconds; None: none."""
-    trainer, period = config["trainer"], config["env"].get("control_period")
-    driven = trainer["realtime"]["period"] if trainer["collection"] == "realtime" else None
-    return driven or period
 
 
 def _about(config: assembly.Config, run: Path, trained: TrainedRun) -> dict[str, Any]:
@@ -49,7 +45,7 @@ def _about(config: assembly.Config, run: Path, trained: TrainedRun) -> dict[str,
             "accepted_env_steps": handed_over.env_steps if handed_over.tested else None,
             "environment": config["env"]["base"],
             "algorithm": config["algorithm"]["agent"],
-            "seed": config["trainer"]["seed"],
+            "seed": Run(run, run.name).seed,
             "versions": _read(run / VERSIONS),
         },
         "results": {scenario: record["summary"] for scenario, record in results.items()},

@@ -8,7 +8,7 @@ from pathlib import Path
 from ..configuration import build as assembly
 from ..console import Output, from_here
 from ..evaluation.episodes import write_results
-from ..launch.job import write_config
+from ..launch.job import Job, write_config
 from ..pretrained import start_from
 from ..report.learning_curve import learning_curve
 from ..report.notes import Results
@@ -74,7 +74,7 @@ def _resume(trainer: Trainer, console: Output) -> bool:
 
 def _train(config: assembly.Config, trainer: Trainer, console: Output) -> None:
     run_dir = trainer.run_dir
-    if trainer.env_steps < trainer.settings.total_steps:
+    if not Job(run_dir, config).finished:
         (run_dir / RESULTS).unlink(missing_ok=True)  # it marks a finished run
     write_config(config, run_dir)
     write_versions(run_dir, config["env"].get("packages") or ())

@@ -20,6 +20,7 @@ __all__ = [
     "agent",
     "build",
     "check",
+    "control_period",
     "environment",
     "exploration",
     "loggers",
@@ -64,6 +65,13 @@ def environment(config: Config) -> EnvironmentFactory:
         intervention=next(map(build, _enabled(config.get("operator"))), None),
         units=env.get("units") or {},
     )
+
+
+def control_period(config: Config) -> float | None:
+    """Return at which period the policy is asked, in seconds; None: as the environment says."""
+    trainer, period = config["trainer"], config["env"].get("control_period")
+    driven = trainer["realtime"]["period"] if trainer["collection"] == "realtime" else None
+    return driven or period
 
 
 def agent(config: Config) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -70,8 +71,12 @@ def render_comparison(
     frames = _side_by_side(halves)
     out.parent.mkdir(parents=True, exist_ok=True)
     hold = np.repeat(frames[-1:], round(HOLD_SECONDS * settings["fps"]), axis=0)
-    iio.imwrite(out, np.concatenate([frames, hold]), **_format(out, settings["fps"]))
-    iio.imwrite(out.with_suffix(".png"), frames[-1])
+    with tempfile.TemporaryDirectory(prefix=".", dir=out.parent) as folder:  # whole, or not there
+        partial = Path(folder, out.name)
+        iio.imwrite(partial, np.concatenate([frames, hold]), **_format(out, settings["fps"]))
+        iio.imwrite(partial.with_suffix(".png"), frames[-1])
+        partial.with_suffix(".png").replace(out.with_suffix(".png"))
+        partial.replace(out)
     return out
 
 

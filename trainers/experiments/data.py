@@ -35,7 +35,7 @@ from ..storage.transition_log import FOLDER as TRANSITIONS
 from .plan import replaced
 from .spread import POSITIONS, reads_positions, spatial_variance
 
-__all__ = ["keep", "take"]
+__all__ = ["keep", "take", "train_again"]
 
 ENTRIES = tuple(p + e for e in ("success", "return") for p in ("", CONTROLLER, ACCEPTED))
 
@@ -73,18 +73,25 @@ def take(jobs: Sequence[Job], data: Path) -> list[Job]:
     return taken
 
 
+def train_again(jobs: Sequence[Job]) -> None:
+    """Have runs made again that others have to start from, and of which there are numbers alone."""
+    for job in _with_needs([job for job in jobs if not job.finished], jobs):
+        if job.finished and not (job.path / CHECKPOINTS).is_dir():
+            (job.path / RESULTS).unlink()
+
+
 def _begun(job: Job) -> bool:
     """Return whether a run has collected anything in the store."""
     return any((job.path / name).exists() for name in (CHECKPOINTS, TRANSITIONS))
 
 
-def _with_needs(wanted: Sequence[Job], missing: Sequence[Job]) -> list[Job]:
-    """Return the jobs that are wanted, and the missing ones that they start from, and so on."""
+def _with_needs(wanted: Sequence[Job], among: Sequence[Job]) -> list[Job]:
+    """Return the jobs that are wanted, and those among others that they start from, and so on."""
     found, left = [], list(wanted)
     while left:
         job = left.pop()
         found.append(job)
-        left += [other for other in missing if other.path in job.needs and other not in found]
+        left += [other for other in among if other.path in job.needs and other not in found]
     return found
 
 

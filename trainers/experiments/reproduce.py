@@ -16,7 +16,7 @@ from ..launch.pool import Ending, launch, require_all
 from ..storage.files import claimed
 from ..training.interruption import Interruption
 from .claims import Verdict, judge
-from .data import keep, take
+from .data import keep, take, train_again
 from .figures import draw
 from .numbers import write_numbers
 from .outcomes import Finding, gather
@@ -78,6 +78,8 @@ def reproduce(
 def _run(jobs: Sequence[Job], settings: Settings, console: Output, again: str) -> Ending:
     """Take the runs that are kept, run the others and keep them too."""
     arguments = jobs, settings.launcher, settings.workers, console, again
+    if settings.workers != 0:
+        train_again(jobs)
     if settings.data is None:
         return launch(*arguments)
     data = Path(settings.data).expanduser().resolve()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -66,7 +67,7 @@ def export_policy(
     if folder.exists() and not (folder / CONTRACT).is_file():
         raise FileExistsError(f"{folder}: expected no folder or an earlier export, got another one")
     env = environment.make(1)
-    stage = folder.with_name(f".{folder.name}.partial")
+    stage = folder.with_name(f".{folder.name}.{os.getpid()}")
     shutil.rmtree(stage, ignore_errors=True)
     stage.mkdir(parents=True)
     try:
@@ -75,13 +76,21 @@ def export_policy(
         content["files"] = {name: fingerprint(stage / name) for name in (MODEL, ARCHIVE)}
         (stage / CONTRACT).write_text(sealed(content), encoding="utf-8")
     except Exception:
-        shutil.rmtree(stage)
+        shutil.rmtree(stage, ignore_errors=True)
         raise
     finally:
         env.close()
-    shutil.rmtree(folder, ignore_errors=True)
-    stage.rename(folder)
+    _put_in_place(stage, folder)
     return content
+
+
+def _put_in_place(stage: Path, folder: Path) -> None:
+    """Give ``stage`` the name ``folder``; what had it before goes when the new one is there."""
+    before = stage.with_name(f"{stage.name}.before")
+    if folder.exists():
+        folder.rename(before)
+    stage.rename(folder)
+    shutil.rmtree(before, ignore_errors=True)
 
 
 def _write(

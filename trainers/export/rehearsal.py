@@ -120,6 +120,7 @@ class Rehearsal:
         for key in self._keys.values():
             spec = self._robot.observation_spec[key]
             if not spec.dtype.is_floating_point:
+                td.set(key, spec.project(self._whole(spec.shape, spec.dtype)))
                 continue
             center, scale = torch.zeros(()), torch.ones(())
             if key in self._inputs:
@@ -128,6 +129,11 @@ class Rehearsal:
             value = center + drawn / torch.where(scale == 0, 1.0, scale)
             td.set(key, spec.project(value.reshape(spec.shape).to(spec.dtype)))
         return td
+
+    def _whole(self, shape: torch.Size, dtype: torch.dtype) -> Tensor:
+        """Make up flags, bytes of a picture, or whole numbers around zero."""
+        low, high = {torch.bool: (0, 2), torch.uint8: (0, 256)}.get(dtype, (-9, 10))
+        return torch.randint(low, high, shape, generator=self._generator).to(dtype)
 
     def _broken(self, key: NestedKey) -> Iterator[list[TensorDictBase]]:
         """Yield episodes of two steps, with a number in the second that is not finite."""

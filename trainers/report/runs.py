@@ -122,6 +122,11 @@ class Run:
             return {}
 
 
+def declared_in(config: Mapping[str, Any]) -> Declared:
+    """Return what a configuration says of the quantities that its environment reports, by name."""
+    return {name: how or {} for name, how in (config["env"].get("metrics") or {}).items()}
+
+
 @dataclass(frozen=True)
 class Group:
     """Runs that differ by the seed alone; a run by itself is a group too.
@@ -152,7 +157,7 @@ class Group:
     @property
     def declared(self) -> Declared:
         """What the environment says of the quantities that it reports, by name."""
-        return {name: how or {} for name, how in (self.config["env"].get("metrics") or {}).items()}
+        return declared_in(self.config)
 
     @cached_property
     def results(self) -> dict[str, list[Record]]:

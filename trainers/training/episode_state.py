@@ -66,12 +66,31 @@ class EpisodeInProgress:
             self.env.begin_with(TensorDict(from_entries(state["next_input"]), batch_size))
             self.collector.reset()
             _put_back(self.env.base_env, state["base"])
-        self.env.transform.load_state_dict(state["transforms"])
+        self.env.transform.load_state_dict(_in_their_places(state["transforms"], self.env))
 
     def start_anew(self, seed: int) -> None:
         """Begin the next episode; what is random about it comes from ``seed``."""
         seed_env(self.env, seed)
         self.collector.reset()
+
+
+def _in_their_places(state: Mapping[str, Any], env: TransformedEnv) -> dict[str, Any]:
+    """Return saved states of transforms under the numbers that these have now.
+
+    Transforms without a state may come and go between two versions of this project; those with one
+    keep their order.
+    """
+
+    def place(key: str) -> str:
+        return ".".join(key.split(".")[:2])  # transforms.NUMBER
+
+    saved, present = (
+        list(dict.fromkeys(map(place, s))) for s in (state, env.transform.state_dict())
+    )
+    if len(saved) != len(present):
+        return dict(state)  # which load_state_dict refuses, with what is missing
+    now = dict(zip(saved, present, strict=True))
+    return {now[place(key)] + key.removeprefix(place(key)): state[key] for key in state}
 
 
 def goes_on_from_its_state(env: EnvBase, root: TensorDictBase) -> tuple[bool, bool]:

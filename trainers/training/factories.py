@@ -10,7 +10,7 @@ from typing import Any
 from rrl.algorithms import Agent
 
 from ..defaults import default_config
-from ..descriptions import plain
+from ..descriptions import named
 from ..environment import EnvironmentFactory
 from ..settings import TrainerSettings
 
@@ -79,8 +79,9 @@ def in_python(
     settings: TrainerSettings, environment: EnvironmentFactory, agent: Any, exploration: Any
 ) -> dict[str, Any]:
     """Return the configuration of a run that was not made from YAML, as far as JSON has it."""
-    made = plain({"agent": agent, "exploration": exploration}, modules=False)
-    return {"trainer": settings.model_dump(), **environment.described(), **made}
+    made = {"agent": agent, "exploration": exploration}
+    described = {n: make and named(make, modules=False) for n, make in made.items()}
+    return {"trainer": settings.model_dump(), **environment.described(), **described}
 
 
 def default_exploration() -> Callable[..., Any]:

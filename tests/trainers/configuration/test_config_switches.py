@@ -97,3 +97,17 @@ def test_a_scenario_may_exchange_what_the_environment_is_made_of():
     config = compose_train(["env=robot/plant", f"+env.scenarios.other.robot={other}"])
     base = assembly.scenarios(config)["other"].base
     assert base.keywords["robot"].keywords == {"address": "ipc:///tmp/other"}
+
+
+@pytest.mark.parametrize(
+    ("overrides", "period"),
+    [
+        ([], None),
+        (["env.control_period=0.2"], 0.2),
+        (["trainer.realtime.period=0.1"], None),  # the run is not driven in real time
+        (["trainer.realtime.period=0.1", "trainer.collection=realtime"], 0.1),
+    ],
+)
+def test_an_exported_policy_is_asked_at_the_period_of_the_training(overrides, period):
+    config = compose_train(["env=robot/plant", *overrides])
+    assert assembly.control_period(config) == period

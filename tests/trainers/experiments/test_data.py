@@ -131,6 +131,11 @@ def test_a_run_that_others_have_yet_to_start_from_is_trained(experiment, run, pr
     assert {path.name.rpartition("-")[0] for path in trained} == {"some-from-it", "some-first"}
     _, said = run("some", data="kept", out="a third")
     assert "4 runs are taken from" in said
+    for folder in ("a third/runs", "kept"):
+        shutil.rmtree(next((project / folder).glob("some-from-it-*/seed-1")))
+    _, said = run("some", out="a third", workers=1)  # its source was taken, without its policy
+    started = re.findall(r"started\s+some-(first|from-it)-\w+/seed-(\d)", said)
+    assert started == [("first", "1"), ("from-it", "1")]
 
 
 def test_runs_are_kept_as_they_end_and_shown_without_running(experiment, run, project, monkeypatch):

@@ -14,9 +14,11 @@ from torchrl.envs.transforms import Transform
 
 from agents import random_policy
 from benchmarks.deploy.episodes import trainers_episode
+from pixel_envs import PixelPoint
 from rrl.algorithms import TD3, mlp
 from rrl.controllers import Controller, ProportionalController, StatefulController
 from rrl.deploy import Policy, read_contract
+from rrl.deploy.policy import onnx_graph
 from rrl.robot import RobotFault
 from rrl.trainers.descriptions import named
 from rrl.trainers.environment import EnvironmentFactory
@@ -276,3 +278,20 @@ def test_what_is_not_installed_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxscript", None)
     with pytest.raises(ImportError, match=r"onnxscript.*pip install 'rrl\[export\]'"):
         export_policy(point(), TensorDictModule(lambda: None, [], ["action"]), tmp_path / "export")
+
+
+@pytest.mark.parametrize("sees", [True, False])
+def test_a_graph_that_does_not_see_the_picture_is_refused(tmp_path, monkeypatch, sees):
+    def graph_of(path):
+        graph = onnx_graph(path)
+        return lambda given: graph(
+            {name: v * sees if v.dtype == np.uint8 else v for name, v in given.items()}
+        )
+
+    monkeypatch.setattr("rrl.trainers.export.folder.onnx_graph", graph_of)
+    factory = point(base=lambda num_envs=1: PixelPoint([num_envs]), inputs=["pixels", "goal"])
+    if sees:
+        export_policy(factory, policy_for(factory), tmp_path / "export")
+    else:
+        with pytest.raises(ValueError, match=r"policy\.onnx"):
+            export_policy(factory, policy_for(factory), tmp_path / "export")

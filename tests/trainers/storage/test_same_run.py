@@ -71,7 +71,7 @@ def test_other_inputs_are_refused(stopped, make, simulated, changes, line):
         ({"controller": partial(ZeroController, action_size=2)}, r"environment.controller"),
         ({"max_episode_steps": 21}, r"environment.max_episode_steps: .* -> 21"),
         ({"safety": [FiniteAction, partial(StepLimit, 0.5)]}, r"environment.safety"),
-        ({"base": another_point}, r"environment.base: .* -> \"another_point"),
+        ({"base": another_point}, r"environment.base.class: .* -> \"another_point"),
         ({"inputs": {POSITION: Input(scale=3.0), GOAL: Input()}}, r"environment.inputs.*3.0"),
     ],
 )
@@ -143,3 +143,14 @@ def test_what_may_change(path, value, line):
         with pytest.raises(ValueError) as caught:
             require_same_run(BASE, changed)
         assert f"  {line}\n" in str(caught.value)
+
+
+def test_what_earlier_versions_did_not_save_of_a_run_in_python_is_not_compared():
+    saved = {"environment": {"controller": {"class": "P"}}}
+    made = {"agent": {"class": "TD3"}, "exploration": None}
+    current = {"environment": {**saved["environment"], "base": {"class": "B"}, "inputs": {"a": 1}}}
+    require_same_run(saved, current | made)
+    with pytest.raises(ValueError, match=r"environment\.controller\.gain"):
+        require_same_run(saved, {"environment": {"controller": {"class": "P", "gain": 2.0}}})
+    with pytest.raises(ValueError, match=r"agent\.gamma"):
+        require_same_run(current | made, current | {**made, "agent": {"class": "TD3", "gamma": 1}})

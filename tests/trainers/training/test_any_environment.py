@@ -1,6 +1,8 @@
 """Environments as people have them: what they call things, how they keep their state, what they count in."""
 
 import random
+import re
+import signal
 from dataclasses import replace
 from functools import partial
 
@@ -16,7 +18,9 @@ from rrl.controllers import ProportionalController, ZeroController
 from rrl.trainers import EnvironmentFactory, Input
 from rrl.trainers.settings import AcceptanceSettings, CheckpointSettings, EvaluationSettings
 from rrl.trainers.storage.files import claimed
-from runs import assert_same_run, run, run_until
+from rrl.trainers.training.interruption import Interrupted
+from rrl.transforms import ControlNoise
+from runs import assert_same, assert_same_run, run, run_until
 
 EPISODE = 20
 
@@ -309,19 +313,21 @@ def test_a_controller_without_an_idea_is_fine(make):
 
 
 def test_nothing_is_drawn_again_however_often_a_run_dies_between_two_checkpoints(make):
-    once = CheckpointSettings(every=120)
+    noisy = replace(of(Forgetful), disturbances=[partial(ControlNoise, sigma=0.1)])
+    make = partial(make, "run", noisy, checkpoint=CheckpointSettings(every=120), n_step=1)
     for dies_at in (50, 80):  # the round that begins there is stored, and the last that is
-        trainer = make("run", of(Forgetful), checkpoint=once)
+        trainer = make()
         if dies_at > 50:
             trainer.resume()
         run_until(trainer, "store.extend", dies_at)
-    trainer = make("run", of(Forgetful), checkpoint=once)
+    trainer = make()
     trainer.resume()
     stored = run(trainer).replay.storage[:]
-    starts = stored["position"][[0, 60, 90]]
-    assert len(torch.unique(starts, dim=0)) == 3
-    noise = stored["action"][[50, 60, 90]] - stored["action"][[51, 61, 91]]
-    assert len(torch.unique(noise, dim=0)) == 3
+    begun = [0, 60, 90]
+    moved = (stored["next", "position"] - stored["position"]) / 0.1
+    noise = moved - stored["base_action"] - 0.5 * stored["action"]
+    for drawn in (stored["position"], stored["action"], noise):
+        assert len(torch.unique(drawn[begun].round(decimals=4), dim=0)) == 3
 
 
 class FreshNetwork(ProportionalController):
@@ -358,3 +364,33 @@ def test_a_run_does_not_become_shorter_than_it_is(make):
         pytest.raises(ValueError, match=r"total_steps: expected at least 60, .*, got 40"),
     ):
         shorter.resume()
+
+
+def test_states_of_transforms_find_their_places_whatever_has_come_between(make):
+    noisy = replace(of(Line), disturbances=[partial(ControlNoise, sigma=0.1)])
+    with make("run", noisy) as trainer:
+        episode = trainer.collection.episode
+        state = episode.state_dict()
+        earlier = {
+            re.sub(r"\d+", lambda number: str(int(number[0]) - 1), key, count=1): value
+            for key, value in state["transforms"].items()
+        }
+        assert earlier.keys() != state["transforms"].keys()
+        episode.load_state_dict({**state, "transforms": earlier})
+        assert_same(dict(episode.state_dict()["transforms"]), state["transforms"])
+
+
+def test_a_run_that_is_ended_in_an_evaluation_is_saved(make):
+    trainer = make("run", of(Line), checkpoint=CheckpointSettings(every=120))
+    follow = trainer.acceptance.follow
+
+    def ended(env_steps):
+        if env_steps == 60:
+            trainer.interruption.ask(signal.SIGINT)
+            trainer.interruption.check()
+        return follow(env_steps)
+
+    trainer.acceptance.follow = ended
+    with trainer, pytest.raises(Interrupted):
+        trainer.run()
+    assert (trainer.run_dir / "checkpoints/checkpoint-000000000060").is_dir()

@@ -32,7 +32,7 @@ from ..collection import Collection, Metrics
 from ..collection_metrics import EpisodeReturns, collection_metrics
 from ..interface import Exploration
 from ..policy_vector import flatten
-from .hand_over import FOLDER, HandOver, Weights
+from .hand_over import FOLDER, MESSAGES, HandOver, Weights
 from .records import TIMING, cut_episodes, read_usable, seconds_of, timing_metrics
 
 CLOSE_SECONDS = 10.0
@@ -58,7 +58,7 @@ class RealTime(Collection):
 
     Raises:
         RuntimeError: If the process dies. What the environment raises is raised here.
-        ValueError: By the first collection, if the process's log lacks steps of the run.
+        ValueError: By the first round, if the process's log lacks steps of the run.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class RealTime(Collection):
         self._recipe = settings, environment, exploration
         self._process: subprocess.Popen[bytes] | None = None
         self._owns = self._stopped = False
-        self._seed = self._seed_anew = first_seed(Stream.TRAINING, settings.seed)
+        self._seed = first_seed(Stream.TRAINING, settings.seed)
         self._returns = EpisodeReturns(1)
         self._log = TransitionLog(self._hand_over.folder / TRANSITIONS)
         self._found = self._finds_process()
@@ -88,8 +88,7 @@ class RealTime(Collection):
         except BaseException:
             self.close()
             raise
-        messages = self._hand_over.folder / "log.txt"
-        self._relayed = messages.stat().st_size if messages.is_file() else 0
+        self._hand_over.said()  # to whom was there before
 
     def tell(self, request: Request) -> None:
         """Pass on what a person asks for, also to the process."""
@@ -147,11 +146,10 @@ class RealTime(Collection):
         return False
 
     def start_episode(self, seed: int) -> None:
-        """Let a process that was started anew draw from ``seed``; one that was found goes on."""
+        """Let a process that was started anew draw other episodes than those in its own log."""
         self._take_over()
-        self._seed_anew = seed
         if not self._found:
-            self._seed = seed
+            self._seed = self._seed_anew()
 
     @contextmanager
     def paused(self) -> Iterator[None]:
@@ -234,10 +232,15 @@ class RealTime(Collection):
     def _follow(self) -> None:
         """Start another process, for the steps by which the run is longer than it was."""
         log.info("the run is longer than the process knew that has driven the environment")
-        self._found, self._seed = False, self._seed_anew
+        self._found = False
         self._start_another()
 
+    def _seed_anew(self) -> int:
+        """Return a seed of episodes that are none of those in the log."""
+        return first_seed(Stream.TRAINING, self.settings.seed, self._log.refresh())
+
     def _start_another(self) -> None:
+        self._seed = self._seed_anew()
         self._start()
         self._wait_for("interface")
         self.set_policy(self._policy)
@@ -258,7 +261,7 @@ class RealTime(Collection):
         self._hand_over.clear()
         self._hand_over.write("recipe", self._recipe)
         paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)
-        with (self._hand_over.folder / "log.txt").open("ab") as messages:
+        with (self._hand_over.folder / MESSAGES).open("ab") as messages:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", __package__, str(self._hand_over.folder), str(os.getpid())],
                 stdin=subprocess.DEVNULL,
@@ -289,15 +292,9 @@ class RealTime(Collection):
             raise unpacked(failure, "the acting process")
         raise RuntimeError(
             "the acting process died; every transition is on disk, "
-            f"and its last words are in {self._hand_over.folder / 'log.txt'}"
+            f"and its last words are in {self._hand_over.folder / MESSAGES}"
         )
 
     def _relay(self) -> None:
-        """Say what the process has said since the last time."""
-        with (self._hand_over.folder / "log.txt").open("rb") as file:
-            file.seek(self._relayed)
-            text = file.read()
-        whole = text[: text.rfind(b"\n") + 1]
-        self._relayed += len(whole)
-        for line in whole.decode(errors="replace").splitlines():
+        for line in self._hand_over.said():
             log.warning("%s", line)

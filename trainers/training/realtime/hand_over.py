@@ -36,7 +36,7 @@ from ...requests import Request
 from ...storage.files import lock
 
 FOLDER = "realtime"
-REQUESTS = "requests.txt"
+REQUESTS, MESSAGES = "requests.txt", "log.txt"
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class HandOver:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._read: tuple[int, int] | None = None
-        self._heard = 0  # bytes of requests.txt
+        self._known: dict[str, int] = {}  # bytes by file that were read
 
     def write(self, name: str, content: Any) -> None:
         """Replace ``name.pkl``."""
@@ -87,13 +87,22 @@ class HandOver:
 
     def heard(self) -> list[Request]:
         """Return what a person has asked for since the last call."""
-        path = self.folder / REQUESTS
-        if not path.exists() or path.stat().st_size <= self._heard:
+        return [Request[name] for name in self._new_lines(REQUESTS)]
+
+    def said(self) -> list[str]:
+        """Return what the process has said since the last call."""
+        return self._new_lines(MESSAGES)
+
+    def _new_lines(self, name: str) -> list[str]:
+        path, start = self.folder / name, self._known.get(name, 0)
+        if not path.is_file() or path.stat().st_size <= start:
             return []
-        text = path.read_bytes()[self._heard :]
+        with path.open("rb") as file:
+            file.seek(start)
+            text = file.read()
         whole = text[: text.rfind(b"\n") + 1]
-        self._heard += len(whole)
-        return [Request[name] for name in whole.decode("ascii").split()]
+        self._known[name] = start + len(whole)
+        return whole.decode(errors="replace").splitlines()
 
     def is_paused(self) -> bool:
         """Return whether a person has asked for a pause that nobody has ended."""

@@ -14,6 +14,7 @@ from realtime_runs import PERIOD, Paced, acted, learn, learn_and_be_killed, wait
 from rrl.robot import RobotFault
 from rrl.trainers.loggers import read_metrics
 from rrl.trainers.settings import CheckpointSettings, EvaluationSettings
+from rrl.trainers.training.interruption import Interrupted
 from rrl.trainers.training.realtime.hand_over import HandOver
 from runs import run
 from toy_envs import EPISODE_STEPS, PointMass
@@ -110,6 +111,26 @@ def test_killed_learners_lose_nothing_and_the_environment_goes_on(make, tmp_path
     assert [step for step, _ in told["train/reward"]] == list(range(size, 241, size))
     returns = acted(run_dir)["next", "reward"].double().reshape(-1, EPISODE_STEPS).sum(1)
     assert sum(value for _, value in told["train/return"]) == pytest.approx(float(returns.sum()))
+
+
+@pytest.mark.slow
+def test_a_run_that_is_ended_in_its_first_round_begins_other_episodes(make):
+    with make() as trainer:
+        check = trainer.collection.requests.check
+
+        def ended():
+            if trainer.collection._log.refresh() >= 10:
+                trainer.person.stop()
+            check()
+
+        trainer.collection.requests.check = ended
+        with pytest.raises(Interrupted):
+            trainer.run()
+    second = make()
+    second.resume()
+    data = acted(run(second).run_dir)
+    goals = data["goal"][data["timing", "first"].flatten()]
+    assert len(torch.unique(goals, dim=0)) == len(goals)
 
 
 def test_a_scenario_that_cannot_be_built_is_found_before_the_first_step(make, factory):
