@@ -15,6 +15,7 @@ from rrl.deploy import Policy
 from rrl.keys import ACTION, SUCCESS
 from rrl.trainers.environment import EnvironmentFactory
 from rrl.trainers.evaluation.rollout import isolated_generators, rollout
+from rrl.transforms.base import RandomTransform
 
 
 class Episode(NamedTuple):
@@ -48,7 +49,9 @@ def exported_episode(factory: EnvironmentFactory, exported: Policy, seed: int) -
     base = factory.base(**native)
     is_double = any(spec.dtype == torch.float64 for spec in base.specs.values(True, True))
     cast = [DoubleToFloat()] if is_double else []  # the trainer's faults are of single precision
-    faults = [make() for make in (*factory.disturbances, *factory.sensing)]
+    sensing = [make() for make in factory.sensing]
+    faults = [make() for make in factory.disturbances]
+    faults += [part for part in sensing if isinstance(part, RandomTransform)]  # others are inside
     env = TransformedEnv(base, Compose(*cast, *faults))
     exported.reset()
 
