@@ -151,7 +151,7 @@ def test_a_signal_finishes_what_is_under_way_and_saves_it(make):
     with trainer, pytest.raises(Interrupted):
         trainer.run()
     assert trainer.env_steps == 100
-    second = make("broken")
+    second = make("broken", base=partial(Slow, seconds=0.002))
     assert second.resume().name == "checkpoint-000000000100"
     assert same(whole, run(second))
 
