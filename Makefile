@@ -10,7 +10,7 @@ train: $(VENV)/installed            ## train residual TD3 on the misaligned inse
 	$(BIN)/rrl train trainer.num_seeds=5
 
 test: $(VENV)/installed             ## the default test suite
-	$(BIN)/pytest -m "not slow" -n 2 --dist loadfile
+	$(BIN)/pytest -m "not slow" -n 2 --dist worksteal
 
 test-slow: $(VENV)/installed        ## long training checks
 	$(BIN)/pytest -m slow -n 2

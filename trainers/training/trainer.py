@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -177,8 +177,7 @@ class Trainer(AbstractContextManager["Trainer"]):
                 self._evaluate()
             while self.env_steps < self.settings.total_steps:
                 self._stop_if_asked()
-                with suppress(Interrupted):  # by whoever waits for a robot
-                    self._round()
+                self._round()
             self._save()
             return self._evaluate_all()
 
@@ -221,7 +220,10 @@ class Trainer(AbstractContextManager["Trainer"]):
         }
 
     def _round(self) -> None:
-        values = self._collect_and_store()
+        try:
+            values = self._collect_and_store()
+        except Interrupted:  # it waited for a robot, in vain
+            return
         self.counters["env_steps"] += self.settings.steps_per_round
         saves = checkpoint_due(self.settings, self.env_steps)
         self.collection.before_updates(self._next_round(), saves)

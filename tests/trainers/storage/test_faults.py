@@ -215,15 +215,14 @@ class Exploding(TD3):
 
 
 def test_a_diverged_learner_stops_with_its_last_good_checkpoint(make_trainer, settings):
-    trainer = make_trainer(
-        agent=partial(Exploding, network=partial(mlp, hidden=[8])), total_steps=300
-    )
+    agent = partial(Exploding, network=partial(mlp, hidden=[8]))
+    trainer = make_trainer(agent=agent, total_steps=300)
     with pytest.raises(
         FloatingPointError, match="the update gave numbers that are not finite in loss_critic"
     ):
         trainer.run()
     trainer.close()
-    resumed = make_trainer(total_steps=300, agent=partial(TD3, network=partial(mlp, hidden=[8])))
+    resumed = make_trainer(total_steps=300, agent=agent)
     assert resumed.resume().name == "checkpoint-000000000100"
     assert all(p.isfinite().all() for p in resumed.agent.parameters())
     resumed.close()

@@ -2,7 +2,6 @@
 
 import random
 import re
-import signal
 from dataclasses import replace
 from functools import partial
 
@@ -18,7 +17,6 @@ from rrl.controllers import ProportionalController, ZeroController
 from rrl.trainers import EnvironmentFactory, Input
 from rrl.trainers.settings import AcceptanceSettings, CheckpointSettings, EvaluationSettings
 from rrl.trainers.storage.files import claimed
-from rrl.trainers.training.interruption import Interrupted
 from rrl.transforms import ControlNoise
 from runs import assert_same, assert_same_run, run, run_until
 
@@ -378,19 +376,3 @@ def test_states_of_transforms_find_their_places_whatever_has_come_between(make):
         assert earlier.keys() != state["transforms"].keys()
         episode.load_state_dict({**state, "transforms": earlier})
         assert_same(dict(episode.state_dict()["transforms"]), state["transforms"])
-
-
-def test_a_run_that_is_ended_in_an_evaluation_is_saved(make):
-    trainer = make("run", of(Line), checkpoint=CheckpointSettings(every=120))
-    follow = trainer.acceptance.follow
-
-    def ended(env_steps):
-        if env_steps == 60:
-            trainer.interruption.ask(signal.SIGINT)
-            trainer.interruption.check()
-        return follow(env_steps)
-
-    trainer.acceptance.follow = ended
-    with trainer, pytest.raises(Interrupted):
-        trainer.run()
-    assert (trainer.run_dir / "checkpoints/checkpoint-000000000060").is_dir()
