@@ -14,7 +14,7 @@ __all__ = ["default_config"]
 
 @lru_cache(maxsize=1)
 def default_config() -> dict[str, Any]:
-    """Return ``trainer``, ``algorithm`` and ``residual_scale`` of ``rrl train``."""
+    """Return ``trainer`` and ``algorithm`` of ``rrl train``."""
     train = _read("train")
     chosen = {
         k: v for entry in train["defaults"] if isinstance(entry, dict) for k, v in entry.items()
@@ -22,7 +22,7 @@ def default_config() -> dict[str, Any]:
     algorithm, overrides = _with_parents(chosen["algorithm"])
     exploration = {"exploration": _read(f"exploration/{(chosen | overrides)['exploration']}")}
     merged = _merge(_merge(train, {"algorithm": exploration}), algorithm)
-    return {section: merged[section] for section in ("trainer", "algorithm", "residual_scale")}
+    return {section: merged[section] for section in ("trainer", "algorithm")}
 
 
 def _with_parents(name: str) -> tuple[dict[str, Any], dict[str, str]]:

@@ -152,7 +152,7 @@ def check_slots(batch_size: torch.Size, num_envs: int) -> None:
         )
 
 
-def check_period(base: EnvBase, given: float | None) -> None:
+def check_period(base: EnvBase, given: float | None, name: str = "control_period") -> None:
     """Refuse another control period than the one that a robot is driven at.
 
     Raises:
@@ -166,7 +166,7 @@ def check_period(base: EnvBase, given: float | None) -> None:
     pace = None if batched else getattr(base, "pace", None)
     if isinstance(pace, Pace) and not isclose(given, pace.period):
         raise ValueError(
-            f"control_period: expected null or {pace.period:g}, the robot's own, got {given:g}"
+            f"{name}: expected null or {pace.period:g}, the robot's own, got {given:g}"
         )
 
 

@@ -121,6 +121,8 @@ class EnvironmentFactory:
             read = as_inputs(getattr(self, name) or ())
             values[name] = {key: [e.loc, e.scale, e.channels] for key, e in read.items()}
         values["base"] = named(self.base, modules=False)
+        values["metrics"] = {name: metric.model_dump() for name, metric in self.metrics.items()}
+        values |= {"judged": self.judged, "intervention": self.intervention}
         return {"environment": plain(values, modules=False)}
 
     def make(self, num_envs: int = 1, *, operated: bool = False) -> ResumableEnv:

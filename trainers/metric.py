@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field
 
 from rrl.transforms.episode_value import REDUCTIONS
+
+from .checked import Checked
 
 __all__ = ["Metric"]
 
 Reduction = Literal["max", "min", "mean", "sum", "last"]
 
 
-class Metric(BaseModel):
+class Metric(Checked):
     """How a quantity that the environment writes under ``("metrics", NAME)`` is reported, and kept.
 
     Attributes:
@@ -25,7 +27,7 @@ class Metric(BaseModel):
             safety limit, not by learning.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = ConfigDict(frozen=True)
 
     unit: str = ""
     reduce: Reduction = "mean"
@@ -38,11 +40,9 @@ class Metric(BaseModel):
         given = {"budget": self.budget, "limit": self.limit}
         return {name: bound for name, bound in given.items() if bound is not None}
 
-    @model_validator(mode="after")
-    def _check(self) -> Metric:
+    def _check(self) -> None:
         if self.budget is not None and self.reduce not in REDUCTIONS:
             raise ValueError(
                 f"budget: expected one of {', '.join(REDUCTIONS)} as reduce, of which a step has a "
                 f"share of its own, got {self.reduce!r}; give the sum a budget instead"
             )
-        return self

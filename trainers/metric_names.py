@@ -1,8 +1,13 @@
-"""How evaluations name what they derive from a quantity."""
+"""How evaluations name their entries: whose they are, and what is derived from a quantity."""
 
 from __future__ import annotations
 
-__all__ = ["ABOVE", "P99", "is_share"]
+__all__ = ["ABOVE", "ACCEPTED", "CONTROLLER", "P99", "is_share"]
+
+CONTROLLER = "controller_"
+"""Prefix of the entries of the controller alone; without one they are the latest policy's."""
+ACCEPTED = "accepted_"
+"""Prefix of the entries of what the run hands over, where policies are tested for it."""
 
 P99 = "_p99"
 """Ending of its 99th percentile over the episodes."""

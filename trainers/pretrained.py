@@ -21,9 +21,10 @@ from rrl.transforms.base.action_bounds import limits_of
 
 from .configuration import build as assembly
 from .environment import EnvironmentFactory
-from .evaluation.entries import ACCEPTED
-from .evaluation.rollout import isolated_generators, rollout
+from .evaluation.rollout import rollout
+from .generators import isolated_generators
 from .loggers import metrics
+from .metric_names import ACCEPTED
 from .report.runs import Run
 from .seeds import Stream, first_seed
 from .storage.checkpoints import load_components

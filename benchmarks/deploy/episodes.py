@@ -14,7 +14,8 @@ from torchrl.envs.transforms import Compose, DoubleToFloat
 from rrl.deploy import Policy
 from rrl.keys import ACTION, SUCCESS
 from rrl.trainers.environment import EnvironmentFactory
-from rrl.trainers.evaluation.rollout import isolated_generators, rollout
+from rrl.trainers.evaluation.rollout import rollout
+from rrl.trainers.generators import isolated_generators
 from rrl.transforms.base import RandomTransform
 
 

@@ -22,7 +22,6 @@ __all__ = [
     "check",
     "control_period",
     "environment",
-    "exploration",
     "loggers",
     "scenarios",
     "settings",
@@ -79,11 +78,6 @@ def agent(config: Config) -> Any:
     return agent_factory(config["algorithm"], environment(config))
 
 
-def exploration(config: Config) -> Any:
-    """Return a factory of exploration modules."""
-    return build(config["algorithm"]["exploration"])
-
-
 def scenarios(config: Config) -> dict[str, EnvironmentFactory]:
     """Return the environments to evaluate on: the training one with some arguments replaced."""
     factory, base = environment(config), config["env"]["base"]
@@ -109,7 +103,7 @@ def trainer(config: Config, run_dir: Path, progress: Progress | None = None) -> 
         settings(config),
         environment(config),
         agent(config),
-        exploration(config),
+        build(config["algorithm"]["exploration"]),
         run_dir,
         scenarios=scenarios(config),
         loggers=loggers(config),

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from rrl.keys import METRICS, SAFETY
 
 from ..metric import Metric
-from ..metric_names import ABOVE, P99
+from ..metric_names import ABOVE, ACCEPTED, CONTROLLER, P99
 from ..storage.files import write_atomically
-from .entries import ACCEPTED, CONTROLLER
 from .statistics import fisher, mcnemar, wilson
 
 

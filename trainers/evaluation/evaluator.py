@@ -9,13 +9,14 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
 from ..environment import EnvironmentFactory
+from ..generators import isolated_generators
 from ..requests import Requests, stop_of
 from ..resumable_env import ResumableEnv
 from ..seeds import Stream, first_seed
 from ..settings import EvaluationSettings
 from .episodes import Comparison, Episodes
 from .frozen import FEW, NOT_FROZEN, replay_difference
-from .rollout import isolated_generators, run_episodes, zero_residual
+from .rollout import run_episodes, zero_residual
 
 log = logging.getLogger(__name__)
 

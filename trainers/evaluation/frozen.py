@@ -11,7 +11,8 @@ from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
-from .rollout import isolated_generators, rollout, whole
+from ..generators import isolated_generators
+from .rollout import rollout, whole
 
 FEW = 3
 """How many episodes are played twice."""

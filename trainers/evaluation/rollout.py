@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import logging
-import random
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from functools import partial
 from typing import TypeVar
 
@@ -22,6 +20,7 @@ from rrl.keys import ACTION, DIVERGED, METRICS, REWARD, SAFETY, SUCCESS
 from rrl.robot import RobotFault
 from rrl.slot_random import seed_env
 
+from ..generators import isolated_generators
 from ..metric import Metric
 from ..requests import stand_still
 from ..resumable_env import ResumableEnv
@@ -44,31 +43,12 @@ def zero_residual(env: EnvBase) -> TensorDictModule:
     return TensorDictModule(lambda: torch.zeros(spec.shape), in_keys=[], out_keys=[ACTION])
 
 
-@contextmanager
-def isolated_generators(seed: int) -> Iterator[None]:
-    """Seed the global generators of Python, NumPy and torch, and put them back afterwards.
-
-    Learning goes on as if nothing had been played, and an environment that draws from a global
-    generator draws the same for every policy.
-    """
-    python, legacy = random.getstate(), np.random.get_state()  # noqa: NPY002 - the global one
-    with torch.random.fork_rng(devices=[]):
-        random.seed(seed)
-        np.random.seed(seed)  # noqa: NPY002
-        torch.default_generator.manual_seed(seed)
-        try:
-            yield
-        finally:
-            random.setstate(python)
-            np.random.set_state(legacy)  # noqa: NPY002
-
-
 def rollout(
     env: EnvBase, policy: TensorDictModuleBase, seed: int, max_steps: int, episodes: int = 0
 ) -> Iterator[tuple[TensorDictBase, Tensor]]:
     """Play one episode in every slot, without exploration. A robot stands still afterwards.
 
-    Use it inside :func:`isolated_generators`.
+    Use it inside :func:`~rrl.trainers.generators.isolated_generators`.
 
     Args:
         env: An environment with any batch size.

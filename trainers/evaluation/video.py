@@ -19,8 +19,9 @@ from tensordict.nn import TensorDictModuleBase
 from rrl.keys import REWARD, SUCCESS
 
 from ..environment import EnvironmentFactory, Input
+from ..generators import isolated_generators
 from .camera_views import beside, camera_views
-from .rollout import isolated_generators, rollout, zero_residual
+from .rollout import rollout, zero_residual
 
 Renderer = Callable[..., np.ndarray]
 """``renderer(base_env, states, width=..., height=...)`` gives uint8 frames ``[T, h, w, 3]``."""

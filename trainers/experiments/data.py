@@ -25,9 +25,9 @@ from typing import Any
 
 import yaml
 
-from ..evaluation.entries import ACCEPTED, CONTROLLER
 from ..launch.job import Job
 from ..loggers import metrics
+from ..metric_names import ACCEPTED, CONTROLLER
 from ..report.runs import Run
 from ..storage.files import write_atomically
 from ..storage.run_files import CHECKPOINTS, CONFIG_FILE, METRICS, RESULTS, VERSIONS

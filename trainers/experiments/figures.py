@@ -11,8 +11,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..evaluation.entries import ACCEPTED, CONTROLLER
 from ..evaluation.statistics import mean_interval
+from ..metric_names import ACCEPTED, CONTROLLER
 from ..report.curves import ALONE, alike, controllers, view
 from ..report.learning_curve import ACCEPTED_COLOR, CONTROLLER_COLOR, RESIDUAL_COLOR, draw_mean
 from .front import SHOWN, draw_front

@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 
 from rrl.keys import METRICS
 
-from ..evaluation.entries import CONTROLLER
-from ..metric_names import ABOVE, P99
+from ..metric_names import ABOVE, CONTROLLER, P99
 from ..report.curves import ALONE, controllers
 from ..report.learning_curve import CONTROLLER_COLOR
 from ..report.panels import Declared, agreed, quantity_title

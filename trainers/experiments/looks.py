@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from ..evaluation.entries import ACCEPTED, CONTROLLER
-from ..metric_names import is_share
+from ..metric_names import ACCEPTED, CONTROLLER, is_share
 from ..report.learning_curve import RESIDUAL_COLOR
 
 __all__ = ["COLORS", "MARKERS", "PANELS", "unit_of"]

@@ -9,8 +9,7 @@ from typing import Any
 
 from rrl.keys import METRICS
 
-from ..evaluation.entries import ACCEPTED, CONTROLLER
-from ..metric_names import P99
+from ..metric_names import ACCEPTED, CONTROLLER, P99
 from ..report.runs import Run
 from .outcomes import Finding, Outcome
 from .spec import Experiment

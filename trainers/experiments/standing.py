@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..evaluation.entries import ACCEPTED, CONTROLLER
 from ..evaluation.statistics import Interval
 from ..loggers import metrics
+from ..metric_names import ACCEPTED, CONTROLLER
 from ..report.runs import Run
 from ..report.tables import gain, handed_over, success_cells
 from .looks import unit_of

@@ -92,11 +92,7 @@ def make(name: str, workers: int | None) -> Launcher:
 
 
 class Process(subprocess.Popen):
-    """A run in a process of this machine."""
-
-    def stop(self) -> None:
-        """Ask it to save and end."""
-        self.terminate()
+    """A run in a process of this machine; ``terminate`` asks it to save and end."""
 
     def kill(self) -> None:
         """End it at once."""
@@ -139,7 +135,7 @@ class Task:
         except self._ray.exceptions.RayError:  # for instance a lost machine
             return 1
 
-    def stop(self) -> None:
+    def terminate(self) -> None:
         """Ask it to save and end."""
         self._ray.cancel(self._reference, recursive=False)
 

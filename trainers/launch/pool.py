@@ -153,7 +153,7 @@ def _block(waiting: list[Job], ending: Ending, display: Display) -> None:
 def _stop(running: dict[Handle, Job]) -> None:
     """Have every run save itself, and end those that do not."""
     for handle in running:
-        handle.stop()
+        handle.terminate()
     deadline = time.monotonic() + GRACE_SECONDS
     for handle in running:
         while handle.poll() is None and time.monotonic() < deadline:

@@ -9,7 +9,7 @@ import numpy as np
 
 from rrl.keys import METRICS
 
-from ..evaluation.entries import ACCEPTED
+from ..metric_names import ACCEPTED
 from .panels import Declared
 from .runs import Record
 

@@ -8,9 +8,8 @@ from typing import Any
 
 from rrl.keys import METRICS
 
-from ..evaluation.entries import ACCEPTED, CONTROLLER
 from ..loggers import metrics
-from ..metric_names import ABOVE, P99, is_share
+from ..metric_names import ABOVE, ACCEPTED, CONTROLLER, P99, is_share
 from .curves import ANY
 
 Declared = Mapping[str, Mapping[str, Any]]

@@ -12,7 +12,6 @@ from rich.table import Table
 
 from rrl.keys import METRICS
 
-from ..evaluation.entries import ACCEPTED, CONTROLLER
 from ..evaluation.statistics import (
     Interval,
     mean_interval,
@@ -21,7 +20,7 @@ from ..evaluation.statistics import (
     unpaired_interval,
     wilson,
 )
-from ..metric_names import is_share
+from ..metric_names import ACCEPTED, CONTROLLER, is_share
 from .curves import Floats
 from .markdown import markdown_table
 from .notes import Results, is_frozen, notes

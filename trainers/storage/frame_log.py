@@ -200,8 +200,10 @@ class FrameLog:
         return int(last["start"] + last["size"])
 
     def _last_frame(self) -> Frames | None:
+        """The newest frame; None if there is none, or it is damaged and nothing can build on it."""
         if self._last is None and self.count:
-            self._last = self.read(self.count - 1, self.count)[0][0]
+            (last,), damaged = self.read(self.count - 1, self.count)
+            self._last = None if damaged else last
         return self._last
 
     def _write(self, data: bytes, file: int, start: int) -> None:

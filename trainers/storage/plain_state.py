@@ -11,7 +11,6 @@ from tensordict import NestedKey, TensorDictBase, is_leaf_nontensor
 from torch import Tensor
 
 _NUMPY = "__numpy__"
-Entries = list[tuple[NestedKey, Any]]
 
 
 def to_plain(state: Any, path: str = "state") -> Any:
@@ -61,22 +60,17 @@ def from_plain(state: Any) -> Any:
     return state
 
 
-def to_entries(tensordict: TensorDictBase) -> Entries:
+def entries(tensordict: TensorDictBase) -> dict[NestedKey, Any]:
     """Return a TensorDict's tensors and text with their keys, whatever characters these have."""
-    entries: Entries = []
+    found: dict[NestedKey, Any] = {}
     for key in tensordict.keys(True, True, is_leaf=is_leaf_nontensor):
         value = tensordict.get(key)
         if not isinstance(value, Tensor):  # text and other objects stand there as NonTensorData
             value = tensordict.get_non_tensor(key)
             if np.asarray(value).dtype.kind != "U":
                 continue
-        entries.append((key, value))
-    return entries
-
-
-def from_entries(entries: Entries) -> dict[NestedKey, Any]:
-    """Undo :func:`to_entries`."""
-    return {tuple(key) if isinstance(key, list) else key: value for key, value in entries}
+        found[key] = value
+    return found
 
 
 def _key(key: Any, path: str) -> Any:

@@ -7,8 +7,8 @@ import shutil
 from pathlib import Path
 
 import torch
+from rich.filesize import decimal
 
-UNITS = {1e3: "kB", 1e6: "MB", 1e9: "GB"}
 CGROUP = Path("/sys/fs/cgroup/memory.max")
 """Where a container's own limit stands."""
 
@@ -38,8 +38,8 @@ def require_room(
         if count * size > room:
             raise ValueError(
                 f"trainer.buffer_capacity: expected transitions that fit into {place}, "
-                f"{_text(room)}, got {transitions} of {_text(size)} each, "
-                f"{_text(count * size)}; keep fewer, or let the policy read less"
+                f"{decimal(room)}, got {transitions} of {decimal(size)} each, "
+                f"{decimal(count * size)}; keep fewer, or let the policy read less"
             )
 
 
@@ -51,11 +51,3 @@ def memory_bytes(device: str) -> int:
     if CGROUP.is_file() and (text := CGROUP.read_text(encoding="utf-8").strip()).isdigit():
         limits.append(int(text))
     return min(limits)
-
-
-def _text(size: float) -> str:
-    """Return a number of bytes with its unit."""
-    if size < 1e3:
-        return f"{size:.0f} B"
-    factor, unit = next(pair for pair in UNITS.items() if size < 1e3 * pair[0] or pair[1] == "GB")
-    return f"{size / factor:.1f} {unit}"

@@ -41,14 +41,6 @@ SEEDS = ("trainer.seed", "trainer.num_seeds")
 """Dotted keys in which runs differ that are shown as one."""
 
 ABSENT = "(absent)"
-_IN_PYTHON = (
-    "agent",
-    "exploration",
-    "environment.base",
-    "environment.inputs",
-    "environment.critic_inputs",
-)
-"""Sections that runs made in Python by earlier versions lack."""
 
 
 def as_json(config: Mapping[str, Any]) -> dict[str, Any]:
@@ -66,12 +58,10 @@ def require_same_run(saved: Mapping[str, Any], current: Mapping[str, Any]) -> No
     Raises:
         ValueError: with one line for every key that changed and may not: ``key: old -> new``.
     """
-    present = leaves(saved)
-    unknown = [f"{part}*" for part in _IN_PYTHON if not any(k.startswith(part) for k in present)]
     changed = [
         f"  {key}: {old} -> {new}"
         for key, (old, new) in differences(saved, current).items()
-        if not _fits(key, (*MAY_CHANGE, *unknown))
+        if not _fits(key, MAY_CHANGE)
     ]
     if changed:
         raise ValueError(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -22,8 +21,6 @@ from .run_policy import RunPolicy
 
 SIDE_BY_SIDE = 20
 """Episodes of a batch between two looks: a much better policy needs no more."""
-
-log = logging.getLogger(__name__)
 
 
 class Acceptance:
@@ -55,33 +52,10 @@ class Acceptance:
         self._least_return = float("inf")  # of all episodes of the run so far
         self._followed: Episodes | None = None  # of what is handed over
 
-    def tests_ahead(self, env_steps: int) -> int:
-        """Return how many policies may be tested from ``env_steps`` on."""
-        if not self.settings.enabled:
-            return 0
-        total, every = self._run.total_steps, self._run.evaluation.every or self._run.total_steps
-        past = max(env_steps, (self._run.warmup_steps or 0) - 1)  # no policy has learned before
-        return max(0, -(-total // every) - past // every) if total > past else 0
-
-    def episodes_ahead(self, env_steps: int) -> int:
-        """Return how many episodes testing may cost from ``env_steps`` on, at most."""
-        return 2 * self.settings.episodes * self.tests_ahead(env_steps)
-
     @property
     def plays_again(self) -> bool:
         """Whether the next evaluation plays what is handed over once more, after a resume."""
         return self.handed_over.env_steps > 0 and self._followed is None
-
-    def announce(self, env_steps: int) -> None:
-        """Say what testing may cost from ``env_steps`` on."""
-        if (evaluations := self.tests_ahead(env_steps)) > 0:
-            log.info(
-                "acceptance: at most %d episodes in %d evaluations, beside the evaluations' own: "
-                "%d pairs of policy and controller each; a test ends as soon as it is decided",
-                self.episodes_ahead(env_steps),
-                evaluations,
-                self.settings.episodes,
-            )
 
     def notice(self, values: Mapping[str, float]) -> None:
         """Learn from a round's metrics how badly an episode can end."""
@@ -142,7 +116,7 @@ class Acceptance:
         """Restore :meth:`state_dict`."""
         self.handed_over.load_state_dict(state)
         self._played, self._budget.left = state["played"], state["alpha_left"]
-        self._least_return = state.get("least_return", float("inf"))
+        self._least_return = state["least_return"]
         self._followed = None
 
     def _is_candidate(self, comparison: Comparison) -> bool:

@@ -74,7 +74,6 @@ class InBackground(Collection):
         heard.close()
         atexit.register(self.close)  # before multiprocessing's own, which would wait for it
         self._state_before: dict[str, Any] | None = None  # before the round that is collected ahead
-        self._can_continue: bool | None = None
         try:
             import_compiler()  # meanwhile the worker starts
             self.interface = self._receive()
@@ -113,9 +112,7 @@ class InBackground(Collection):
     @property
     def can_continue(self) -> bool:
         """Whether the environment can go on in the middle of an episode."""
-        if self._can_continue is None:
-            self._can_continue = self._call("can_continue")
-        return self._can_continue
+        return bool(self._call("can_continue"))
 
     def start_episode(self, seed: int) -> None:
         """Begin the next episode."""
@@ -135,6 +132,8 @@ class InBackground(Collection):
 
     def close(self) -> None:
         """Have the process close its environment, and end it if it does not."""
+        if self._connection.closed:
+            return
         atexit.unregister(self.close)
         self.tell(Request.GO_ON)  # or it would wait for ever
         self._connection.close()  # it reads the end of the requests

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from ..environment import EnvironmentFactory
@@ -37,13 +35,3 @@ def make_collection(
             "wait"
         )
     return collection
-
-
-@contextmanager
-def closed_if_it_fails(collection: Collection) -> Iterator[None]:
-    """Close what collects if the body fails."""
-    try:
-        yield
-    except BaseException:
-        collection.close()
-        raise

@@ -15,6 +15,7 @@ from torchrl.envs.utils import ExplorationType
 from rrl.keys import ACTION
 
 from ..environment import EnvironmentFactory
+from ..generators import seed_generators
 from ..loggers import metrics
 from ..requests import Request, Requests, stand_still, stop_of
 from ..settings import TrainerSettings
@@ -23,7 +24,6 @@ from .collection_metrics import Authority, EpisodeReturns, collection_metrics
 from .episode_state import EpisodeInProgress
 from .interface import Annealing, Exploration, Interface, prepare
 from .profiling import measured, watch_collection
-from .torch_setup import seed_generators
 from .torchrl_collector import Collector
 
 Metrics = dict[str, float]
@@ -180,8 +180,8 @@ class InTurn(Collection):
             if self.env.__dict__.get("_torchrl_native_autoreset", False):
                 hidden = [key for key in kept if key not in self.interface.costs]
                 _fill_in_last_observations(data, hidden)
-            stored = as_stored(data, kept)
             values = collection_metrics(data, Authority.of(self.env)) | self._returns.metrics(data)
+            stored = as_stored(data, kept)  # where an operator acted, the action is theirs now
         return stored, values | measured(self.stopwatch) | metrics.clock(self.env.lap())
 
     @property
@@ -215,6 +215,7 @@ class InTurn(Collection):
             "exploration": dict(exploration),
             "annealed": self._annealing.env_steps,
             "returns": self._returns.running,
+            "stands": self._stands,
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
@@ -224,6 +225,7 @@ class InTurn(Collection):
             self.exploration.load_state_dict(state["exploration"])
         self._annealing.env_steps = int(state["annealed"])
         self._returns.running = state["returns"]
+        self._stands = state["stands"]
 
     def close(self) -> None:
         """Shut the collector down, and with it the environment."""

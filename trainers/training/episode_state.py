@@ -17,7 +17,7 @@ from rrl.slot_random import seed_env
 
 from ..requests import has_content
 from ..resumable_env import ResumableEnv
-from ..storage.plain_state import from_entries, to_entries
+from ..storage.plain_state import entries
 from .torchrl_collector import Collector
 
 log = logging.getLogger(__name__)
@@ -55,42 +55,22 @@ class EpisodeInProgress:
         }
         if self.can_continue:
             state["base"] = dict(self.env.base_env.state_dict())
-            state["next_input"] = to_entries(self.env.next_input)
+            state["next_input"] = entries(self.env.next_input)
         return state
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore :meth:`state_dict`; the transforms alone where the environment cannot go on."""
         self._can_continue = bool(state["can_continue"])
         if self._can_continue:
-            batch_size = self.env.batch_size
-            self.env.begin_with(TensorDict(from_entries(state["next_input"]), batch_size))
+            self.env.begin_with(TensorDict(state["next_input"], self.env.batch_size))
             self.collector.reset()
             _put_back(self.env.base_env, state["base"])
-        self.env.transform.load_state_dict(_in_their_places(state["transforms"], self.env))
+        self.env.transform.load_state_dict(state["transforms"])
 
     def start_anew(self, seed: int) -> None:
         """Begin the next episode; what is random about it comes from ``seed``."""
         seed_env(self.env, seed)
         self.collector.reset()
-
-
-def _in_their_places(state: Mapping[str, Any], env: TransformedEnv) -> dict[str, Any]:
-    """Return saved states of transforms under the numbers that these have now.
-
-    Transforms without a state may come and go between two versions of this project; those with one
-    keep their order.
-    """
-
-    def place(key: str) -> str:
-        return ".".join(key.split(".")[:2])  # transforms.NUMBER
-
-    saved, present = (
-        list(dict.fromkeys(map(place, s))) for s in (state, env.transform.state_dict())
-    )
-    if len(saved) != len(present):
-        return dict(state)  # which load_state_dict refuses, with what is missing
-    now = dict(zip(saved, present, strict=True))
-    return {now[place(key)] + key.removeprefix(place(key)): state[key] for key in state}
 
 
 def goes_on_from_its_state(env: EnvBase, root: TensorDictBase) -> tuple[bool, bool]:

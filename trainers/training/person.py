@@ -23,21 +23,22 @@ class Person:
     """
 
     def __init__(self, collection: Collection, interruption: Interruption) -> None:
-        self._tell, self._interruption = collection.tell, interruption
-        self._end_pause = collection.release
-        self.paused = False
+        self._collection, self._interruption = collection, interruption
         collection.requests.check = interruption.check
-        interruption.when_asked.append(self._release)
+        interruption.when_asked.append(collection.release)
         interruption.at_once.append(collection.stop_at_once)
+
+    @property
+    def paused(self) -> bool:
+        """Whether the environment stands still, or will before its next step."""
+        return self._collection.requests.paused
 
     def pause(self) -> None:
         """Let the environment stand still before its next step, until :meth:`go_on`."""
-        self.paused = True
         self._ask(Request.PAUSE)
 
     def go_on(self) -> None:
         """End a pause."""
-        self.paused = False
         self._ask(Request.GO_ON)
 
     def stop(self) -> None:
@@ -67,8 +68,4 @@ class Person:
 
     def _ask(self, request: Request) -> None:
         log.info("a person: %s", request.value)
-        self._tell(request)
-
-    def _release(self) -> None:
-        self.paused = False
-        self._end_pause()
+        self._collection.tell(request)

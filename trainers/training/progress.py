@@ -30,11 +30,6 @@ class Progress:
         self.console = console
         self._bar: Bar | None = None
 
-    @classmethod
-    def silent(cls) -> Progress:
-        """A progress display that shows nothing."""
-        return cls(Console(quiet=True))
-
     @contextmanager
     def training(self, total: int, done: int) -> Iterator[None]:
         """Show a bar over environment steps while the body runs."""

@@ -11,6 +11,8 @@ from .acceptance import Acceptance
 
 log = logging.getLogger(__name__)
 
+TESTS = "at most in tests of policies"
+
 
 def announce(
     settings: TrainerSettings, evaluator: Evaluator, acceptance: Acceptance, env_steps: int
@@ -19,7 +21,15 @@ def announce(
     ahead = episodes_ahead(settings, evaluator, acceptance, env_steps)
     parts = ", ".join(f"{count} {what}" for what, count in ahead.items() if count)
     log.info("episodes on the environment: %s; %d in all", parts, sum(ahead.values()))
-    acceptance.announce(env_steps)
+    if in_tests := ahead[TESTS]:
+        pairs = settings.acceptance.episodes
+        log.info(
+            "acceptance: at most %d episodes in %d evaluations, beside the evaluations' own: "
+            "%d pairs of policy and controller each; a test ends as soon as it is decided",
+            in_tests,
+            in_tests // (2 * pairs),
+            pairs,
+        )
 
 
 def episodes_ahead(
@@ -32,18 +42,21 @@ def episodes_ahead(
     shown, scenarios = settings.evaluation, len(evaluator.scenarios)
     steps = evaluator.scenarios[evaluator.followed].max_episode_steps
     rounds = range(env_steps, settings.total_steps, settings.steps_per_round)
-    evaluations = sum(evaluation_due(settings, t + settings.steps_per_round) for t in rounds)
-    evaluations += env_steps == 0 and settings.evaluation.every > 0
+    due = [t for start in rounds if evaluation_due(settings, t := start + rounds.step)]
+    tests = 0
+    if settings.acceptance.enabled:  # no policy has learned before the warm-up ends
+        tests = sum(t >= (settings.warmup_steps or 0) for t in due)
+    evaluations = len(due) + (env_steps == 0 and settings.evaluation.every > 0)
     # The controller plays each set once; a few episodes of each scenario are played twice, to see
     # whether they are frozen; at the end there may be an accepted policy beside the latest one.
     # A resumed run plays what it hands over once more.
-    players = 3 if acceptance.settings.enabled else 2
+    players = 3 if settings.acceptance.enabled else 2
     sets = evaluations + 1 + acceptance.plays_again
     followed = sets * shown.episodes if evaluations else 0
     return {
         "in training": -(-(settings.total_steps - env_steps) // steps),
         "in evaluations": followed,
-        "at most in tests of policies": acceptance.episodes_ahead(env_steps),
+        TESTS: 2 * settings.acceptance.episodes * tests,
         "at the end": scenarios * (players * shown.final_episodes + 2 * FEW),
     }
 

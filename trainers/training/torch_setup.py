@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import random
 import warnings
 
 import numpy as np
 import torch
 
+from ..generators import seed_generators
 from ..settings import TrainerSettings
 
 COLLECTOR_OFFSET = 2**30
@@ -35,17 +35,11 @@ def configure_torch(
         warnings.warn("flush_denormals: this processor cannot; going on without", stacklevel=2)
 
 
-def seed_generators(seed: int) -> None:
-    """Seed the generators of Python, NumPy and torch, which any environment may draw from."""
-    random.seed(seed)
-    np.random.seed(seed)  # noqa: NPY002
-    torch.manual_seed(seed)
-
-
 def _precision(settings: TrainerSettings) -> str:
     """Return what was asked for; float32 where bfloat16 products would be the slower ones."""
     has_amx = getattr(torch.cpu, "_is_amx_tile_supported", None)  # private, may go away
-    if settings.matmul_precision != "medium" or (has_amx and has_amx()):
+    is_cpu = torch.device(settings.device).type == "cpu"
+    if settings.matmul_precision != "medium" or not is_cpu or (has_amx and has_amx()):
         return settings.matmul_precision
     warnings.warn(
         "matmul_precision: this processor has no AMX, without which bfloat16 products are slower "

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
 from tensordict.nn import TensorDictModuleBase
 from torchrl.checkpoint import GlobalRNGState
 
@@ -28,7 +29,7 @@ from ..storage.room import require_room
 from ..storage.same_run import as_json, require_same_run
 from .acceptance import Acceptance
 from .clock import Clock, Counters
-from .collecting import closed_if_it_fails, make_collection
+from .collecting import make_collection
 from .collection import Metrics
 from .constraints import Constraints
 from .factories import agent_or_default, default_exploration, in_python
@@ -81,14 +82,15 @@ class Trainer(AbstractContextManager["Trainer"]):
         self.loggers = [Guarded(g) for g in ([CSVLogger()] if loggers is None else loggers)]
         self.config = as_json(config or in_python(given, environment, agent, exploration))
         self.interruption, self.stopwatch, self.profile = Interruption(), Stopwatch(), Profile()
-        self.progress = progress or Progress.silent()
+        self.progress = progress or Progress(Console(quiet=True))
         settings.check_operator(environment.intervention is not None)
         configure_torch(settings)
         self.run_dir.mkdir(parents=True, exist_ok=True)
         self.constraints = Constraints(environment.metrics, settings.constraints, settings.n_step)
         explore = exploration or default_exploration()
         self.collection = make_collection(settings, environment, explore, self.run_dir)
-        with closed_if_it_fails(self.collection):
+        with ExitStack() as if_it_fails:
+            if_it_fails.callback(self.collection.close)
             make_agent = agent_or_default(agent, environment)
             self.agent = make_agent(**self.collection.interface.arguments()).to(settings.device)
             self.collection.set_policy(self.agent.policy)
@@ -106,6 +108,7 @@ class Trainer(AbstractContextManager["Trainer"]):
             self.counters = Counters(env_steps=0)
             self.clock, self._resumed = Clock(self.evaluator.lap), False
             self.checkpoints = Checkpoints(self.run_dir, settings.checkpoint.keep, self._parts())
+            if_it_fails.pop_all()
         self._generators = GlobalRNGState().state_dict()  # whatever is made before the run begins
 
     @property
@@ -133,7 +136,7 @@ class Trainer(AbstractContextManager["Trainer"]):
         check = self.store.check
         path, note, torn = newest_whole(self.run_dir, lambda note: check(note["transitions"]))
         reads = self.collection.interface.described()
-        require_same_run(note["config"] | note.get("interface", reads), self.config | reads)
+        require_same_run(note["config"] | note["interface"], self.config | reads)
         self.checkpoints.load(path, torn)
         require_no_shorter(self.settings, self.env_steps)
         if self.collection.can_continue:

@@ -60,15 +60,30 @@ def test_what_hardly_changes_takes_hardly_any_room(log):
     assert whole.stat().st_size < 64 * 3 * SIDE * SIDE / 3
 
 
-@pytest.mark.parametrize("number", [0, 40, 63])
-def test_a_flipped_bit_is_found_and_the_frame_before_stands_for_the_damaged(log, number):
-    wanted = frames(64)
-    log.append(wanted)
+def flip_a_bit(log, number):
     entry = log._index.read(number, number + 1)[0]
     path = log.folder / "frames_000000.bin"
     content = bytearray(path.read_bytes())
     content[int(entry["start"]) + 3] ^= 4
     path.write_bytes(content)
+
+
+def test_what_is_written_after_a_damaged_frame_does_not_build_on_it(log):
+    wanted = frames(60, moving=False)
+    log.append(wanted[:40])
+    flip_a_bit(log, 39)
+    reopened = FrameLog(log.folder)
+    reopened.append(wanted[40:])
+    read, damaged = reopened.read(0, 60)
+    assert damaged == [39]
+    assert np.array_equal(read[40:], wanted[40:])
+
+
+@pytest.mark.parametrize("number", [0, 40, 63])
+def test_a_flipped_bit_is_found_and_the_frame_before_stands_for_the_damaged(log, number):
+    wanted = frames(64)
+    log.append(wanted)
+    flip_a_bit(log, number)
     read, damaged = log.read(0, 64)
     assert damaged[0] == number
     sound = [i for i in range(64) if i not in damaged]

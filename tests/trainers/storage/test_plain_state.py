@@ -10,7 +10,7 @@ import pytest
 import torch
 from tensordict import NonTensorData, NonTensorStack, TensorDict
 
-from rrl.trainers.storage.plain_state import from_entries, from_plain, to_entries, to_plain
+from rrl.trainers.storage.plain_state import entries, from_plain, to_plain
 
 KEPT = {
     "generator": np.random.default_rng(3).bit_generator.state,
@@ -54,7 +54,7 @@ def test_of_a_tensordict_tensors_and_text_are_kept():
     root = TensorDict({"x": torch.ones(2, 1), "arm": {"x": torch.zeros(2)}}, [2])
     root.set("task", NonTensorData("insert", [2])).set("arm/said", NonTensorStack("a", "b"))
     root.set("handle", NonTensorData(pathlib.PurePosixPath("x"), [2]))
-    kept = TensorDict(from_entries(from_plain(to_plain(to_entries(root)))), [2])
+    kept = TensorDict(from_plain(to_plain(entries(root))), [2])
     assert set(kept.keys(True)) == set(root.keys(True)) - {"handle"}
     assert torch.equal(kept["x"], root["x"])
     assert torch.equal(kept["arm", "x"], root["arm", "x"])

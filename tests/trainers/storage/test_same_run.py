@@ -143,14 +143,3 @@ def test_what_may_change(path, value, line):
         with pytest.raises(ValueError) as caught:
             require_same_run(BASE, changed)
         assert f"  {line}\n" in str(caught.value)
-
-
-def test_what_earlier_versions_did_not_save_of_a_run_in_python_is_not_compared():
-    saved = {"environment": {"controller": {"class": "P"}}}
-    made = {"agent": {"class": "TD3"}, "exploration": None}
-    current = {"environment": {**saved["environment"], "base": {"class": "B"}, "inputs": {"a": 1}}}
-    require_same_run(saved, current | made)
-    with pytest.raises(ValueError, match=r"environment\.controller\.gain"):
-        require_same_run(saved, {"environment": {"controller": {"class": "P", "gain": 2.0}}})
-    with pytest.raises(ValueError, match=r"agent\.gamma"):
-        require_same_run(current | made, current | {**made, "agent": {"class": "TD3", "gamma": 1}})

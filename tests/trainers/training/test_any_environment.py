@@ -1,7 +1,6 @@
 """Environments as people have them: what they call things, how they keep their state, what they count in."""
 
 import random
-import re
 from dataclasses import replace
 from functools import partial
 
@@ -30,7 +29,7 @@ from rrl.trainers import EnvironmentFactory
 from rrl.trainers.settings import AcceptanceSettings, CheckpointSettings, EvaluationSettings
 from rrl.trainers.storage.files import claimed
 from rrl.transforms import ControlNoise
-from runs import assert_same, assert_same_run, run, run_until
+from runs import assert_same_run, run, run_until
 
 
 @pytest.fixture
@@ -245,17 +244,3 @@ def test_a_run_does_not_become_shorter_than_it_is(make):
         pytest.raises(ValueError, match=r"total_steps: expected at least 60, .*, got 40"),
     ):
         shorter.resume()
-
-
-def test_states_of_transforms_find_their_places_whatever_has_come_between(make):
-    noisy = replace(of(Line), disturbances=[partial(ControlNoise, sigma=0.1)])
-    with make("run", noisy) as trainer:
-        episode = trainer.collection.episode
-        state = episode.state_dict()
-        earlier = {
-            re.sub(r"\d+", lambda number: str(int(number[0]) - 1), key, count=1): value
-            for key, value in state["transforms"].items()
-        }
-        assert earlier.keys() != state["transforms"].keys()
-        episode.load_state_dict({**state, "transforms": earlier})
-        assert_same(dict(episode.state_dict()["transforms"]), state["transforms"])

@@ -1,6 +1,7 @@
 """A run derives what nobody set, says what it derived, and goes on with it."""
 
 from functools import partial
+from pathlib import Path
 
 import pytest
 import yaml
@@ -78,6 +79,6 @@ def test_command_line_and_python_share_the_defaults(factory):
     assert given["reward_scale"] is None
     assert agent.gamma == pytest.approx(0.925)
     assert agent.settings.residual_penalty == given["residual_penalty"]
-    text = default_config()["residual_scale"]
+    text = yaml.safe_load(Path("configs/train.yaml").read_text())["residual_scale"]
     scale = EnvironmentFactory(base=factory.base, controller=factory.controller, inputs=[])
     assert text == f"${{oc.select:env.residual_scale,{scale.residual_scale}}}"

@@ -266,6 +266,15 @@ def test_a_budget_for_what_the_environment_does_not_write_is_refused(make_traine
         make_trainer(environment=environment(factory, force={"reduce": "max", "budget": 1.0}))
 
 
+@pytest.mark.parametrize("metrics", [{"effort": {"reduce": "max", "budget": 0.3}}, {}])
+def test_a_run_goes_on_with_its_own_budgets(make_trainer, factory, metrics):
+    given = {"effort": {"reduce": "max", "budget": 0.8}}
+    run(make_trainer("run", environment=environment(factory, **given)))
+    other = make_trainer("run", environment=environment(factory, **metrics))
+    with other, pytest.raises(ValueError, match=r"environment\.metrics\.effort"):
+        other.resume()
+
+
 @pytest.mark.parametrize("scale", [2.0, -2.0])
 def test_a_budget_costs_whatever_the_sign_of_the_rewards(scale):
     effort = {"effort": Metric(reduce="sum", budget=1.0)}

@@ -75,3 +75,9 @@ def test_a_run_with_two_threads_can_be_made_again(tmp_path):
         )
     assert logs[0]
     assert logs[0] == logs[1]
+
+
+def test_what_a_processor_lacks_is_nothing_to_a_gpu(monkeypatch, settings):
+    monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda: False)
+    configure_torch(settings(matmul_precision="medium", device="cuda"))
+    assert torch.get_float32_matmul_precision() == "medium"

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from rrl.pace import Pace, prioritize
 
+from ...entry_checks import check_period
 from ...environment import EnvironmentFactory
 from ...errors import packed
 from ...requests import stand_still, stop_of
@@ -76,11 +77,7 @@ def _pace(settings: TrainerSettings, environment: EnvironmentFactory, env: Resum
                 "does not say its control period, got null"
             )
         return Pace(period)
-    if wanted is not None and wanted != own.period:
-        raise ValueError(
-            f"trainer.realtime.period: expected null or {own.period:g}, the robot's own, "
-            f"got {wanted:g}"
-        )
+    check_period(env.base_env, wanted, "trainer.realtime.period")
     return own
 
 
