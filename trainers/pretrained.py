@@ -23,7 +23,6 @@ from .configuration import build as assembly
 from .environment import EnvironmentFactory
 from .evaluation.rollout import rollout
 from .generators import isolated_generators
-from .loggers import metrics
 from .metric_names import ACCEPTED
 from .report.runs import Run
 from .seeds import Stream, first_seed
@@ -227,8 +226,7 @@ def _score(run: Run) -> tuple[float, float] | None:
     """Return success and return, of what the run hands over, in the last evaluation of training."""
     score = []
     for entry in ("success", "return"):
-        names = [metrics.name(metrics.EVALUATION, run.followed, p + entry) for p in (ACCEPTED, "")]
-        found = [run.metrics[name] for name in names if name in run.metrics]
-        values = [value for step, value in found[0] if step] if found else []
+        found = run.evaluations(ACCEPTED + entry) or run.evaluations(entry)
+        values = [value for step, value in found if step]
         score.append(values[-1] if values else None)
     return None if score[1] is None else (score[0] or 0.0, score[1])

@@ -16,12 +16,36 @@ from ..evaluation.evaluator import Evaluator
 from ..evaluation.video import render_comparison
 from ..launch.job import Job, one_seed
 from ..pretrained import TrainedRun, best_run, trained_run
-from ..report.runs import Record, Run, declared_in
-from ..report.tables import handed_over, one_run, rescued, terminal_tables
+from ..report.learning_curve import learning_curve
+from ..report.runs import Group, Record, Run, declared_in
+from ..report.tables import (
+    Results,
+    handed_over,
+    markdown_tables,
+    one_run,
+    rescued,
+    terminal_tables,
+)
 from ..seeds import Stream, first_seed
-from ..storage.run_files import VIDEOS, seed_directories
+from ..storage.files import write_atomically
+from ..storage.run_files import CONFIG_FILE, VIDEOS, seed_directories
 from ..training.progress import Progress
 from ..training.run_policy import RunPolicy
+
+
+def show(group: Group, results: Results, run_dir: Path, console: Output) -> list[Path]:
+    """Print the tables, and leave them and the learning curve in ``run_dir``.
+
+    Returns:
+        What lies there now, the configuration too.
+    """
+    console.print(terminal_tables(results, group.declared, title=group.label))
+    table = run_dir / "results.md"
+    write_atomically(table, markdown_tables(results, group.declared))
+    written, learned = [table, run_dir / CONFIG_FILE], any(run.env_steps for run in group.runs)
+    if learned and (curve := learning_curve(group, run_dir / "learning_curve.png")):
+        written.append(curve)
+    return written
 
 
 def evaluate(config: assembly.Config, run_dir: Path, console: Output) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,13 +11,13 @@ from ..console import Output
 from ..export.folder import export_policy, require_tools
 from ..pretrained import TrainedRun, best_run
 from ..report.runs import Run
-from ..storage.run_files import EXPORT, RESULTS, VERSIONS
+from ..storage.run_files import EXPORT
 from .evaluate import load
 
 
 def export(config: assembly.Config, run_dir: Path, console: Output) -> None:
     """Write the policy of a run, or of the best seed, with everything around it."""
-    require_tools()
+    require_tools()  # before the run is loaded, which takes a while
     run, folder = best_run(run_dir), run_dir / EXPORT
     trained = load(config, run, console)
     handed_over = trained.handed_over
@@ -36,7 +35,7 @@ def export(config: assembly.Config, run_dir: Path, console: Output) -> None:
 
 def _about(config: assembly.Config, run: Path, trained: TrainedRun) -> dict[str, Any]:
     """Return where a policy was trained and how well it did."""
-    results, handed_over = _read(run / RESULTS) or {}, trained.handed_over
+    found, handed_over = Run(run, run.name), trained.handed_over
     return {
         "trained": {
             "name": config["name"],
@@ -45,16 +44,11 @@ def _about(config: assembly.Config, run: Path, trained: TrainedRun) -> dict[str,
             "accepted_env_steps": handed_over.env_steps if handed_over.tested else None,
             "environment": config["env"]["base"],
             "algorithm": config["algorithm"]["agent"],
-            "seed": Run(run, run.name).seed,
-            "versions": _read(run / VERSIONS),
+            "seed": found.seed,
+            "versions": found.versions,
         },
-        "results": {scenario: record["summary"] for scenario, record in results.items()},
+        "results": {scenario: record["summary"] for scenario, record in found.results.items()},
     }
-
-
-def _read(path: Path) -> Any:
-    """Return a JSON file's content; None if there is none."""
-    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
 
 
 def _summary(content: dict[str, Any]) -> list[str]:

@@ -10,15 +10,14 @@ from ..configuration.schema import Schema
 from ..console import Output, from_here
 from ..launch.job import Job, one_seed, write_config
 from ..launch.pool import launch, require_all
-from ..report.learning_curve import learning_curve
 from ..report.report import write_report
 from ..report.runs import Group, Run, find_runs
-from ..report.tables import markdown_tables, most_rescued, terminal_tables
+from ..report.tables import most_rescued
 from ..storage.checkpoints import saved_note
-from ..storage.files import claimed, write_atomically
-from ..storage.run_files import CHECKPOINTS, CONFIG_FILE, REPORT, seed_directories
+from ..storage.files import claimed
+from ..storage.run_files import CHECKPOINTS, REPORT, seed_directories
 from ..storage.same_run import require_same_run
-from .evaluate import film_run, only_said
+from .evaluate import film_run, only_said, show
 
 
 def train_seeds(config: assembly.Config, run_dir: Path, console: Output, *, resume: bool) -> None:
@@ -63,11 +62,7 @@ def train_seeds(config: assembly.Config, run_dir: Path, console: Output, *, resu
 def _show(config: assembly.Config, runs: Sequence[Run], run_dir: Path, console: Output) -> None:
     """Leave one table, curve, video and report of all seeds in their common directory."""
     group = Group(str(config["name"]), tuple(runs))
-    console.print(terminal_tables(group.results, group.declared, title=group.label))
-    written = [run_dir / "results.md", run_dir / CONFIG_FILE]
-    write_atomically(written[0], markdown_tables(group.results, group.declared))
-    curve = learning_curve(group, run_dir / "learning_curve.png")
-    written += [curve] if curve else []
+    written = show(group, group.results, run_dir, console)
     if config["render"]["enabled"]:
         most, _ = most_rescued(runs)
         of_it = {**most.config, "render": config["render"]}

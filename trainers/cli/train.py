@@ -10,7 +10,6 @@ from ..console import Output, from_here
 from ..evaluation.episodes import write_results
 from ..launch.job import Job, write_config
 from ..pretrained import start_from
-from ..report.learning_curve import learning_curve
 from ..report.notes import Results
 from ..report.report import write_report
 from ..report.runs import Group, find_runs
@@ -18,19 +17,16 @@ from ..report.tables import (
     COLUMNS,
     EPISODE_COLUMNS,
     episode_rows,
-    markdown_tables,
     one_run,
     success_rows,
-    terminal_tables,
 )
 from ..storage.checkpoints import saved_note
-from ..storage.files import write_atomically
-from ..storage.run_files import CONFIG_FILE, METRICS, REPORT, RESULTS, seed_directories
+from ..storage.run_files import REPORT, RESULTS, seed_directories
 from ..storage.same_run import require_same_run
 from ..storage.versions import write_versions
 from ..training.progress import Progress
 from ..training.trainer import Trainer
-from .evaluate import film, only_said
+from .evaluate import film, only_said, show
 from .seeds import train_seeds
 
 MEDIA = (".png", ".mp4", ".gif")
@@ -82,12 +78,7 @@ def _train(config: assembly.Config, trainer: Trainer, console: Output) -> None:
     if trainer.settings.profile:
         console.print(trainer.profile.table())
     group, shown = Group(str(config["name"]), tuple(find_runs([run_dir]))), one_run(results)
-    console.print(terminal_tables(shown, group.declared, title=group.label))
-    written = [run_dir / "results.md", run_dir / CONFIG_FILE]
-    write_atomically(written[0], markdown_tables(shown, group.declared))
-    if trainer.env_steps and (run_dir / METRICS).exists():
-        curve = learning_curve(group, run_dir / "learning_curve.png")
-        written += [curve] if curve else []
+    written = show(group, shown, run_dir, console)
     if config["render"]["enabled"]:
         records = {scenario: comparison.record() for scenario, comparison in results.items()}
         with only_said(console):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..evaluation.statistics import Interval, mean_interval, success_interval
+from ..metric_names import CONTROLLER
 from ..report.tables import with_interval
 from .outcomes import SOLVED, Finding, Outcome
-from .spread import variances
 
 RESIDUAL, ALONE = "residual RL", "RL alone"
 SIM_ARM = "residual RL on the policy from simulation"
@@ -120,7 +120,7 @@ def transfers_quickly(finding: Finding) -> tuple[bool, str]:
 
 def explores_wider(finding: Finding) -> tuple[bool, str]:
     """The summed variance of the positions visited: the intervals over seeds are apart."""
-    residual, alone = (variances(finding.arm(arm)[0]).sum(axis=1) for arm in (RESIDUAL, ALONE))
+    residual, alone = (finding.arm(arm)[0].variances().sum(axis=1) for arm in (RESIDUAL, ALONE))
     text = f"variance of the positions visited [cm^2]: RL alone {_with_interval(alone)}, "
     text += f"residual {_with_interval(residual)}"
     return _interval(alone)[0] > _interval(residual)[1], text
@@ -144,7 +144,7 @@ def _rates(first: Outcome, last: Outcome) -> str:
 
 def _counts(outcome: Outcome, scenario: str) -> tuple[float, float, str]:
     """Return the rates of residual and controller, and their counts by seed in words."""
-    both = outcome.counts(scenario), outcome.controller_counts(scenario)
+    both = outcome.counts(scenario), outcome.counts(scenario, CONTROLLER)
     named = zip(("residual", "controller"), both, strict=True)
     text = "; ".join(f"{name} {counts}, {20 * counts.rate:.1f} of 20" for name, counts in named)
     return both[0].rate, both[1].rate, text

@@ -9,7 +9,7 @@ A run's directory without all that is large, 10 to 30 KB; `rrl report` reads it 
                 metrics.csv                  success and return of the evaluations, wall time
                 results.json                 the final evaluation
                 versions.json                packages and machine
-                positions.json               how widely it moved, where the policy reads positions
+                positions.json               how widely it moved, where its log has all positions
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from ..storage.files import write_atomically
 from ..storage.run_files import CHECKPOINTS, CONFIG_FILE, METRICS, RESULTS, VERSIONS
 from ..storage.transition_log import FOLDER as TRANSITIONS
 from .plan import replaced
-from .spread import POSITIONS, reads_positions, spatial_variance
+from .spread import POSITIONS, keeps_positions, spatial_variance
 
 __all__ = ["keep", "take", "train_again"]
 
@@ -45,7 +45,7 @@ def keep(job: Job, data: Path) -> None:
     run, folder = Run(job.path, job.name), _folder(job, data)
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / CONFIG_FILE, _config(job))
-    if reads_positions(run.config):
+    if keeps_positions(run.config):
         write_atomically(folder / POSITIONS, _json(spatial_variance(run).tolist()))
     write_atomically(folder / METRICS, _record(run))
     write_atomically(folder / VERSIONS, _json(run.versions))
@@ -130,4 +130,4 @@ def _result(record: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _json(value: Any) -> str:
-    return json.dumps(value, indent=None) + "\n"
+    return json.dumps(value) + "\n"

@@ -19,7 +19,7 @@ from .front import SHOWN, draw_front
 from .looks import COLORS, MARKERS, PANELS, unit_of
 from .outcomes import Finding, Outcome
 from .spec import Experiment
-from .spread import variances
+from .spread import AXES
 from .tables import interval_of, outcome_rows
 
 __all__ = ["draw"]
@@ -96,8 +96,8 @@ def _spread(experiment: Experiment, finding: Finding) -> Figure:
     axis = figure.subplots()
     width = 0.8 / len(finding.outcomes)
     for i, outcome in enumerate(finding.outcomes):
-        per_axis = variances(outcome)
-        values = np.column_stack([per_axis, per_axis.sum(axis=1)])  # (S, 4)
+        per_axis = outcome.variances()
+        values = np.column_stack([per_axis, per_axis.sum(axis=1)])  # (S, axes + 1)
         at = np.arange(values.shape[1]) + (i - (len(finding.outcomes) - 1) / 2) * width
         low, high = np.array([mean_interval(column) for column in values.T]).T
         mean = values.mean(axis=0)
@@ -106,7 +106,7 @@ def _spread(experiment: Experiment, finding: Finding) -> Figure:
         axis.bar(at, mean, 0.9 * width, yerr=error, label=outcome.point.label, **look)
         for row in values:
             axis.plot(at, row, ".", color="black", ms=4, alpha=0.6)
-    axis.set_xticks(range(4), ["x", "y", "z", "sum"])
+    axis.set_xticks(range(values.shape[1]), [*AXES[: values.shape[1] - 1], "sum"])
     axis.set_xlabel("direction")
     axis.set_ylabel("variance of the end effector's positions [cm²]")
     return figure

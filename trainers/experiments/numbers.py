@@ -13,7 +13,7 @@ from ..metric_names import ACCEPTED, CONTROLLER, P99
 from ..report.runs import Run
 from .outcomes import Finding, Outcome
 from .spec import Experiment
-from .spread import spatial_variance
+from .spread import AXES, spatial_variance
 
 __all__ = ["COLUMNS", "write_numbers"]
 
@@ -26,7 +26,6 @@ ENTRIES = {
 }
 """Every column of a policy, and the entry that it holds."""
 CHANGES = ("rescues", "regressions", f"{ACCEPTED}rescues", f"{ACCEPTED}regressions")
-AXES = ("x", "y", "z")
 COLUMNS = (
     *("arm", "setting", "key", "seed", "env_steps", "evaluation", "scenario", "episodes"),
     *ENTRIES,
@@ -75,7 +74,7 @@ def _final(experiment: Experiment, outcome: Outcome, run: Run) -> Iterator[Row]:
     more["versions"] = " ".join(f"{name}={version}" for name, version in run.versions.items())
     if experiment.figure == "spread":
         values = spatial_variance(run).tolist()
-        more |= {f"position_variance_{a}_cm2": v for a, v in zip(AXES, values, strict=True)}
+        more |= {f"position_variance_{a}_cm2": v for a, v in zip(AXES, values, strict=False)}
     total = run.config["trainer"]["total_steps"]
     common = {"env_steps": total, "evaluation": "final", "episodes": outcome.episodes}
     for scenario in outcome.scenarios:

@@ -8,18 +8,17 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..evaluation.statistics import success_interval
 from ..launch.job import Job
 from ..loggers import metrics
-from ..report.curves import Curve, curve
+from ..metric_names import CONTROLLER
+from ..report.curves import Curve, Floats, curve
 from ..report.runs import Run
 from .plan import Point, run_directory
+from .spread import spatial_variance
 
 __all__ = ["SOLVED", "Counts", "Finding", "Findings", "Outcome", "gather"]
-
-Floats = NDArray[np.float64]
 
 SOLVED = 0.9
 """Success of the followed episodes that counts as having learned the task."""
@@ -102,16 +101,15 @@ class Outcome:
         """Return whether all runs found the episodes to be frozen."""
         return self.knows("mcnemar_p", scenario)
 
-    def counts(self, scenario: str | None = None) -> Counts:
-        """Return how many episodes each run solves."""
-        solved = np.rint(self.final("success", scenario) * self.episodes)
+    def counts(self, scenario: str | None = None, prefix: str = "") -> Counts:
+        """Return how many episodes each run solves; the controller, if paired, the same for all."""
+        solved = np.rint(self.final(f"{prefix}success", scenario) * self.episodes)
+        solved = solved[:1] if prefix == CONTROLLER and self.paired(scenario) else solved
         return Counts(tuple(map(int, solved)), self.episodes)
 
-    def controller_counts(self, scenario: str | None = None) -> Counts:
-        """Return how many episodes the controller solves; paired, it is the same for every run."""
-        solved = np.rint(self.final("controller_success", scenario) * self.episodes)
-        solved = solved[:1] if self.paired(scenario) else solved
-        return Counts(tuple(map(int, solved)), self.episodes)
+    def variances(self) -> Floats:
+        """Return the spatial variance of exploration by seed and axis ``[S, axes]``, [cm^2]."""
+        return np.array([spatial_variance(run) for run in self.runs])
 
     def knows(self, entry: str, scenario: str | None = None) -> bool:
         """Return whether the final evaluation has that entry; None: in the followed scenario."""

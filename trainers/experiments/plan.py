@@ -29,7 +29,7 @@ from typing import Any
 from ..launch.job import Job, one_seed
 from ..storage.same_run import SEEDS, measured_settings
 from .spec import Experiment, Overrides, Settings
-from .spread import POSITION, reads_positions
+from .spread import POSITION, keeps_positions
 
 __all__ = ["Compose", "Point", "command", "plan_jobs", "plan_points", "replaced", "run_directory"]
 
@@ -159,7 +159,8 @@ def _points_of(
                 f"{experiment.name}: expected sources of {sorted(sources)}, got {unknown[0]!r}"
             )
         config, used = compose(overrides), {name: sources[name] for name in names}
-        _check(experiment, config, shown)
+        if shown:
+            _check(experiment, config)
         key, seeds = _key(config, used), tuple(range(settings.seeds_of(experiment)))
         asked = arm, value, key, overrides, config, seeds, used, shown
         made = Point(experiment.name, *asked, swept=sweep.name if sweep else "")
@@ -175,11 +176,11 @@ def _points_of(
     return [*sources.values(), *arms]
 
 
-def _check(experiment: Experiment, config: Mapping[str, Any], shown: bool) -> None:
+def _check(experiment: Experiment, config: Mapping[str, Any]) -> None:
     """Refuse runs that do not log what the experiment shows of them."""
     trainer, known = config["trainer"], config["env"].get("metrics") or {}
     every, total = trainer["evaluation"]["every"], trainer["total_steps"]
-    if shown and experiment.figure in ("curves", "tasks") and not every:
+    if experiment.figure in ("curves", "tasks") and not every:
         raise ValueError(
             f"{experiment.name}: expected trainer.evaluation.every above 0 for curves, got 0"
         )
@@ -189,10 +190,11 @@ def _check(experiment: Experiment, config: Mapping[str, Any], shown: bool) -> No
                 f"{experiment.name}.evaluated_at: expected multiples of trainer.evaluation.every "
                 f"({every}) up to trainer.total_steps ({total}), got {at}"
             )
-    if shown and experiment.figure == "spread" and not reads_positions(config):
+    if experiment.figure == "spread" and not keeps_positions(config):
         raise ValueError(
-            f"{experiment.name}.figure: expected runs that read {POSITION!r} for spread, got the "
-            f"inputs {', '.join(config['env']['inputs'])}"
+            f"{experiment.name}.figure: expected runs that read {POSITION!r} for spread, and a "
+            f"trainer.buffer_capacity of all their steps ({total}), got the inputs "
+            f"{', '.join(config['env']['inputs'])} and {trainer['buffer_capacity']}"
         )
     if experiment.metric is not None and experiment.metric not in known:
         choices = ", ".join(sorted(known)) or "none"

@@ -140,7 +140,8 @@ def _add(
         page.table(*front_rows(experiment, finding))
     elif experiment.figure not in ("spread", "tasks"):
         _tables(page, experiment, finding)
-    again = f"rrl reproduce {experiment.name} {shown.settings.as_arguments}"
+    seeds = "" if shown.settings.seeds is None else f" seeds={shown.settings.seeds}"
+    again = f"rrl reproduce {experiment.name} scale={shown.settings.scale}{seeds}"
     page.text(f"{effort(finding)} Again: `{again}`.")
 
 
@@ -167,7 +168,8 @@ def _versions_of_runs(shown: Shown) -> str:
         for run in (run for outcome in finding.outcomes for run in outcome.runs):
             for name, version in run.versions.items():
                 found.setdefault(name, set()).add(version)
-    return ", ".join(f"{name} {' or '.join(sorted(each))}" for name, each in found.items()) + "."
+    text = ", ".join(f"{name} {' or '.join(sorted(each))}" for name, each in found.items())
+    return text + "." if text else "Known when a run is finished."
 
 
 def _clips(page: Page, experiment: Experiment, clips: Sequence[tuple[Path, str]]) -> None:

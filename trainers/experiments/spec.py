@@ -149,12 +149,6 @@ class Settings(_Section):
             raise ValueError(f"scale: expected one of {', '.join(self.scales)}, got {self.scale!r}")
         return self
 
-    @property
-    def as_arguments(self) -> str:
-        """What decides which runs are made, as on the command line."""
-        seeds = "" if self.seeds is None else f" seeds={self.seeds}"
-        return f"scale={self.scale}{seeds}"
-
     def seeds_of(self, experiment: Experiment) -> int:
         """Return how many seeds an experiment has; the command line's number comes first."""
         return self.seeds or experiment.seeds or self.scales[self.scale].seeds

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..evaluation.statistics import iqm, iqm_interval, mean_interval, success_interval
+from ..metric_names import CONTROLLER
 from ..report.tables import with_interval
 from .looks import unit_of
 from .outcomes import SOLVED, Finding, Outcome
@@ -103,7 +104,7 @@ def overall_iqm(outcomes: Sequence[Outcome], entry: str) -> str:
 
 def _success_row(outcome: Outcome, scenario: str) -> list[str]:
     cells = [scenario, *_arm(outcome)]
-    for counts in (outcome.counts(scenario), outcome.controller_counts(scenario)):
+    for counts in (outcome.counts(scenario), outcome.counts(scenario, CONTROLLER)):
         cells += [str(counts), f"{TRIALS * counts.rate:.1f}"]
     if not outcome.paired(scenario):
         return [*cells, "not paired", ", ".join(map(_unpaired_test, outcome.summaries(scenario)))]

@@ -67,8 +67,7 @@ def time_split(groups: Sequence[Group]) -> go.Figure | None:
 
 
 def _seconds(group: Group, part: str) -> float:
-    name = metrics.name(metrics.TIME, part)
-    return sum(v for run in group.runs for _, v in run.metrics.get(name, ())) / len(group.runs)
+    return sum(run.seconds_of(part) for run in group.runs) / len(group.runs)
 
 
 def _styled(figure: go.Figure, height: int) -> go.Figure:

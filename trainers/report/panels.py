@@ -17,7 +17,8 @@ Declared = Mapping[str, Mapping[str, Any]]
 
 FOLLOWED = "{followed}"
 """Stands in a metric's name for the scenario that is evaluated during training."""
-RATE = (0.0, 1.0)
+SHARE = 100.0
+"""Scale of what is logged as a share, and drawn as per cent."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,6 @@ class Panel:
         metric: The metric's name, with ``{followed}`` for a scenario.
         title: What it shows, with its unit.
         scale: Factor from the logged value to the drawn one.
-        bounds: The possible values.
         counted: Whether it is a share of the evaluation's episodes.
         controller: Metric of the controller alone on the same episodes.
         accepted: Metric of what the run would hand over, on the same episodes.
@@ -37,10 +37,14 @@ class Panel:
     metric: str
     title: str
     scale: float = 1.0
-    bounds: tuple[float, float] = ANY
     counted: bool = False
     controller: str = ""
     accepted: str = ""
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """The possible values."""
+        return (0.0, 1.0) if self.scale == SHARE else ANY
 
 
 def _evaluated(entry: str, title: str, *, counted: bool = False, paired: bool = True) -> Panel:
@@ -49,8 +53,7 @@ def _evaluated(entry: str, title: str, *, counted: bool = False, paired: bool = 
         metrics.name(metrics.EVALUATION, FOLLOWED, prefix + entry) if paired else ""
         for prefix in (CONTROLLER, ACCEPTED)
     ]
-    scale, bounds = (100.0, RATE) if counted else (1.0, ANY)
-    return Panel(name, title, scale, bounds, counted, *others)
+    return Panel(name, title, SHARE if counted else 1.0, counted, *others)
 
 
 LEARNING = (
@@ -62,9 +65,9 @@ CHANGES = (
     _evaluated("regression_rate", "broken by the residual [%]", counted=True, paired=False),
 )  # fmt: skip
 SHARES = (
-    Panel("action/residual_share", "residual's share of the action [%]", 100.0, RATE),
+    Panel("action/residual_share", "residual's share of the action [%]", SHARE),
     Panel("action/residual_rms", "residual, root mean square [action units]"),
-    Panel("action/clip_fraction", "components clipped at the action's bounds [%]", 100.0, RATE),
+    Panel("action/clip_fraction", "components clipped at the action's bounds [%]", SHARE),
 )
 LENGTH = _evaluated("episode_length", "control steps of an episode")
 
@@ -126,7 +129,7 @@ def safety(limits: Iterable[str]) -> list[Panel]:
     evaluation = metrics.name(metrics.EVALUATION, FOLLOWED, f"{metrics.SAFETY}_")
     kinds = {"training": f"{metrics.SAFETY}/", "evaluation": evaluation}
     return [
-        Panel(prefix + limit, f"{limit}, {kind} [%]", 100.0, RATE)
+        Panel(prefix + limit, f"{limit}, {kind} [%]", SHARE)
         for limit in limits
         for kind, prefix in kinds.items()
     ]

@@ -7,7 +7,7 @@ import logging
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -87,11 +87,11 @@ class Run:
     @property
     def seconds(self) -> float:
         """Wall time that was spent in the run's loop and its evaluations, over all its sessions."""
-        return sum(
-            value
-            for name in map(partial(metrics.name, metrics.TIME), metrics.WHOLE_SECTIONS)
-            for _, value in self.metrics.get(name, ())
-        )
+        return sum(map(self.seconds_of, metrics.WHOLE_SECTIONS))
+
+    def seconds_of(self, part: str) -> float:
+        """Wall time of one part of the loop."""
+        return sum(value for _, value in self.metrics.get(metrics.name(metrics.TIME, part), ()))
 
     @property
     def videos(self) -> list[Path]:

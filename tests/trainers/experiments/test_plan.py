@@ -41,6 +41,23 @@ def test_a_table_asks_for_steps_that_are_evaluated(points, folders, steps, fits)
             points("at")
 
 
+def test_nothing_is_asked_of_a_source_but_its_weights(points, folders):
+    content = {k: v for k, v in EXPERIMENT.items() if k != "sweep"}
+    content |= {"figure": "curves", "evaluated_at": [200]}
+    content["sources"] = {"first": ["arm=rl", "trainer.evaluation.every=0"]}
+    content["arms"] = {"from it": ["arm=rl", "init_from.run=run:first"]}
+    write(folders[0] / "experiment/chain.yaml", content)
+    assert [point.shown for point in points("chain")] == [False, True]
+
+
+def test_a_spread_is_of_all_steps(points, folders):
+    content = {k: v for k, v in EXPERIMENT.items() if k != "sweep"}
+    content |= {"figure": "spread", "overrides": ["trainer.buffer_capacity=199"]}
+    write(folders[0] / "experiment/wide.yaml", content)
+    with pytest.raises(ValueError, match=r"trainer.buffer_capacity .* \(200\), .* and 199"):
+        points("wide")
+
+
 def test_every_change_is_made_on_every_task(points, folders):
     tasks = {"still": ["env.base.drift=0.0"], "drifting": []}
     changes = {"the default": [], "short": ["trainer.n_step=1"]}

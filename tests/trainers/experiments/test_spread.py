@@ -1,7 +1,6 @@
 """The variance of visited positions, read back from a log of transitions with known positions."""
 
 import numpy as np
-import pytest
 import torch
 import yaml
 from tensordict import TensorDict
@@ -24,9 +23,3 @@ def test_variance_is_of_meters_by_axis(tmp_path):
     positions = np.random.default_rng(0).normal([0.6, 0.0, 0.1], [0.01, 0.02, 0.03], size=(500, 3))
     run = make_run(tmp_path, {"end_effector_position": {}}, torch.tensor(positions))
     np.testing.assert_allclose(spatial_variance(run), 1e4 * positions.var(axis=0), rtol=1e-6)
-
-
-def test_a_policy_that_does_not_see_the_position_is_named(tmp_path):
-    run = make_run(tmp_path, {"goal": {}}, torch.zeros(2, 3))
-    with pytest.raises(ValueError, match="expected 'end_effector_position' among the policy's"):
-        spatial_variance(run)

@@ -46,7 +46,7 @@ def test_a_read_only_folder_is_named(small_disk):
 def test_transitions_that_the_disk_cannot_take_are_refused_at_once(make_trainer, small_disk):
     with pytest.raises(
         ValueError,
-        match=r"the disk of .*/run, \d\.\d MB, got 1000000 of 46 B each, 46\.0 MB;",
+        match=r"the disk of .*/run, \d\.\d MB, got 1000000 of 46 bytes each, 46\.0 MB;",
     ):
         make_trainer(small_disk / "run", total_steps=1_000_000)
     make_trainer(small_disk / "run", total_steps=1_000_000, buffer_capacity=10_000).close()

