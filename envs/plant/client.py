@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rrl.robot import Observation, Robot, RobotFault
 
-from .protocol import ADDRESS, from_message, pack, unpack
+from .protocol import ADDRESS, pack, to_description, unpack
 
 ATTEMPTS, LONGEST = 4, 1.0
 """How often a call without an answer is sent, and after how many seconds at the latest it is sent
@@ -49,7 +49,7 @@ class RemoteRobot(Robot):
         self._number = 0
         self._connect()
         described = self.ask("describe", connect_patience)
-        self.description = from_message(described["description"])
+        self.description = to_description(described["description"])
         self._patience = 0.4 * self.description.period if patience is None else patience
         self._reset_patience = reset_patience
 

@@ -23,23 +23,14 @@ def pack(message: dict[str, Any]) -> bytes:
 
 def unpack(data: bytes) -> dict[str, Any]:
     """Undo :func:`pack`."""
-    message: dict[str, Any] = msgpack.unpackb(data, object_hook=_decode)
+    message: dict[str, Any] = msgpack.unpackb(data, object_hook=_decode, use_list=False)
     return message
 
 
-def to_message(description: Description) -> dict[str, Any]:
-    """Return a description as plain data."""
-    entries = {name: [list(shape), dtype] for name, (shape, dtype) in description.entries.items()}
-    low, high = list(description.low), list(description.high)
-    return {"entries": entries, "low": low, "high": high, "period": description.period}
-
-
-def from_message(message: dict[str, Any]) -> Description:
-    """Undo :func:`to_message`."""
-    entries = {
-        n: EntrySpec(tuple(shape), dtype) for n, (shape, dtype) in message["entries"].items()
-    }
-    return Description(entries, tuple(message["low"]), tuple(message["high"]), message["period"])
+def to_description(message: dict[str, Any]) -> Description:
+    """Return the description whose fields were sent."""
+    entries = {name: EntrySpec(*entry) for name, entry in message["entries"].items()}
+    return Description(**{**message, "entries": entries})
 
 
 def _encode(value: Any) -> Any:

@@ -16,7 +16,7 @@ import zmq
 from rrl.robot import Robot, RobotFault
 
 from .faults import DELAY, Faults
-from .protocol import ADDRESS, pack, to_message, unpack
+from .protocol import ADDRESS, pack, unpack
 
 log = logging.getLogger(__name__)
 
@@ -126,7 +126,7 @@ class _Desk:
         if name == "observe":
             return self._observe()
         if name == "describe":
-            return {"description": to_message(self.robot.description)}
+            return {"description": vars(self.robot.description)}
         if name == "command":
             self.robot.command(np.array(call["action"]))  # what was unpacked is read-only
         elif name == "reset":

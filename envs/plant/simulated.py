@@ -33,13 +33,10 @@ class SimulatedPlant(Robot):
     Args:
         config: The task.
         timeout: Seconds after which a command is no longer executed.
-
-    Attributes:
-        commands: How many commands have come.
     """
 
     def __init__(self, config: InsertionConfig, timeout: float = 0.2) -> None:
-        self.config, self.timeout, self.commands = config, timeout, 0
+        self.config, self.timeout = config, timeout
         self._model = compile_model(config)
         self._start = StartState(self._model, config)
         self._data = mujoco.MjData(self._model)
@@ -59,7 +56,6 @@ class SimulatedPlant(Robot):
         self.advance()
         self._action = check_action(np.asarray(action, dtype=np.float64)[None], 1)
         self._commanded = time.monotonic()
-        self.commands += 1
         self._execute()
 
     def reset(self, seed: int | None = None) -> None:

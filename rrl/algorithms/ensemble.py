@@ -94,10 +94,8 @@ class _Ensemble:
         self, tensordict: TensorDictBase, next_value: Tensor
     ) -> tuple[Tensor, Metrics]:
         """Return the sum of the critics' losses where the next states have ``next_value``."""
-        data = tensordict.clone(False)
-        value_key = self.value_estimator.tensor_keys.value
-        data.set(("next", value_key), next_value.unsqueeze(-1))
-        target = self.value_estimator.value_estimate(data).squeeze(-1)
+        after = next_value.unsqueeze(-1)
+        target = self.value_estimator.value_estimate(tensordict, next_value=after).squeeze(-1)
         values = self._values(tensordict, self.qvalue_network_params)  # (N, *batch)
         distance = distance_loss(values, target.expand_as(values), self.loss_function).sum(0)
         return self._reduced(distance, tensordict), {

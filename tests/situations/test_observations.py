@@ -111,8 +111,6 @@ def test_a_buffer_that_does_not_fit_into_memory_is_refused_at_once(
         "collection": "overlap" if overlap else "turn",
     }
     expected = r"trainer\.buffer_capacity: expected .* the memory of cpu, .* GB, got 1000000000"
-    with pytest.raises(
-        ValueError, match=rf"{expected} of 921\.\d kB each, 921\.\d TB; keep fewer"
-    ):
+    with pytest.raises(ValueError, match=rf"{expected} of 921\.\d kB each, 921\.\d TB; keep fewer"):
         make_trainer(environment, **many)
     assert not list((tmp_path / "run").rglob("*.*"))
