@@ -76,6 +76,11 @@ def _pace(settings: TrainerSettings, environment: EnvironmentFactory, env: Resum
                 "trainer.realtime.period: expected a number of seconds, because the environment "
                 "does not say its control period, got null"
             )
+        if stop_of(env) is not None:
+            log.warning(
+                "the robot keeps no pace of its own: in evaluations nothing but its own step makes "
+                "it wait; let its step wait by an attribute pace (rrl.pace.Pace), as RobotEnv does"
+            )
         return Pace(period)
     check_period(env.base_env, wanted, "trainer.realtime.period")
     return own

@@ -160,6 +160,8 @@ def test_a_robot_that_is_being_reset_is_stopped_when_its_process_is_told_to_end(
     thread.join(60)
     assert not thread.is_alive()
     trainer.close()
+    said = (trainer.run_dir / "realtime/log.txt").read_text()
+    assert "the robot keeps no pace of its own" in said
 
 
 def test_a_robot_that_is_blind_at_a_reset_costs_an_episode(make, caplog):
