@@ -100,6 +100,14 @@ def test_there_may_be_more_arms_than_colors(outcome, figure, tmp_path):
     assert "arm 8" in labels(figure, finding(*arms), tmp_path)
 
 
+def test_a_plane_has_two_axes(outcome, tmp_path):
+    arm = outcome("arm", value=0.0)
+    for run in arm.runs:
+        (run.path / "positions.json").write_text("[1.0, 2.0]")
+    svg = labels("spread", finding(arm), tmp_path)
+    assert [f"<!-- {name} -->" in svg for name in ("x", "y", "z", "sum")] == [1, 1, 0, 1]
+
+
 def test_a_sweep_shows_whose_controller_is_whose(outcome, tmp_path):
     alone = outcome("RL alone", value=0.0)
     alone.point.config["controller"] = ZERO

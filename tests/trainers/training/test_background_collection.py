@@ -135,6 +135,13 @@ def test_a_process_that_dies_is_named_and_leaves_a_checkpoint(make):
     assert newest_whole(trainer.run_dir)[0].name == "checkpoint-000000000060"
 
 
+def test_a_run_may_be_closed_twice(make, caplog):
+    trainer = make(total_steps=60)
+    trainer.close()
+    trainer.close()
+    assert not caplog.text
+
+
 @pytest.mark.slow
 def test_a_signal_finishes_what_is_under_way_and_saves_it(make):
     whole = run(make("whole"))

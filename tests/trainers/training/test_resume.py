@@ -161,6 +161,27 @@ def test_a_compiled_run_resumes_to_rounding(make_trainer, simulated):
     resumed.close()
 
 
+class Standing(RememberingPointMass):
+    """Stands still while it is evaluated, as a robot does."""
+
+    def stop(self):
+        pass
+
+
+def test_what_was_stopped_for_an_evaluation_begins_an_episode_after_a_resume_too(make, simulated):
+    """Evaluation and checkpoint fall into the middle of an episode."""
+    changes = {
+        "environment": replace(simulated, base=partial(point, kind=Standing)),
+        "evaluation": EvaluationSettings(every=30, episodes=2, final_episodes=2, slots=2),
+        "checkpoint": CheckpointSettings(every=30),
+    }
+    whole = run(make("whole", **changes))
+    run_until(make("broken", **changes), "store.extend", 30)
+    second = make("broken", **changes)
+    assert second.resume().name == "checkpoint-000000000030"
+    assert_same_run(whole, run(second))
+
+
 def test_an_evaluation_that_was_broken_off_is_made_after_the_resume(make):
     """As on a robot, where an evaluation that waits for it ends when the run is to end."""
 
