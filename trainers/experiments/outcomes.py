@@ -102,7 +102,10 @@ class Outcome:
         return self.knows("mcnemar_p", scenario)
 
     def counts(self, scenario: str | None = None, prefix: str = "") -> Counts:
-        """Return how many episodes each run solves; the controller, if paired, the same for all."""
+        """Return how many episodes each run solves, or with ``prefix`` what that prefix stands for.
+
+        The controller alone, where the episodes are paired, solves the same in every run.
+        """
         solved = np.rint(self.final(f"{prefix}success", scenario) * self.episodes)
         solved = solved[:1] if prefix == CONTROLLER and self.paired(scenario) else solved
         return Counts(tuple(map(int, solved)), self.episodes)

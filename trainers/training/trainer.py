@@ -105,11 +105,10 @@ class Trainer(AbstractContextManager["Trainer"]):
             self.learning = Learning(
                 self.agent, self.store, self.constraints, settings, self.run_dir, self.stopwatch
             )
-            self.counters = Counters(env_steps=0)
-            self.clock, self._resumed = Clock(self.evaluator.lap), False
+            self.counters, self.clock = Counters(env_steps=0), Clock(self.evaluator.lap)
             self.checkpoints = Checkpoints(self.run_dir, settings.checkpoint.keep, self._parts())
             if_it_fails.pop_all()
-        self._generators = GlobalRNGState().state_dict()  # whatever is made before the run begins
+        self._resumed, self._generators = False, GlobalRNGState().state_dict()  # as the run begins
 
     @property
     def env_steps(self) -> int:
@@ -133,8 +132,7 @@ class Trainer(AbstractContextManager["Trainer"]):
             ValueError: If none is whole, the configuration is not the run's own, or more is done.
         """
         self.checkpoints.claim()
-        check = self.store.check
-        path, note, torn = newest_whole(self.run_dir, lambda note: check(note["transitions"]))
+        path, note, torn = newest_whole(self.run_dir, lambda n: self.store.check(n["transitions"]))
         reads = self.collection.interface.described()
         require_same_run(note["config"] | note["interface"], self.config | reads)
         self.checkpoints.load(path, torn)
