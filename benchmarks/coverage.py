@@ -38,22 +38,30 @@ def success_coverage(
 
 
 def paired_coverage(
-    controller: float, policy: float, spread: float, runs: int, studies: int, seed: int = 0
+    controller: float,
+    policy: float,
+    spread: float,
+    runs: int,
+    studies: int,
+    seed: int = 0,
+    tasks: int = 1,
 ) -> tuple[float, float]:
     """Return coverage and mean width of :func:`paired_interval` of a gain in success.
 
     Runs play the same episodes: an episode's difficulty is one uniform number for all, and half of
-    a policy's outcome depends on it.
+    a policy's outcome depends on it. The gain is the mean of so many tasks.
     """
     rng = np.random.default_rng(seed)
-    found = []
-    for _ in range(studies):
+
+    def differences() -> np.ndarray:
         difficulty = rng.random(EPISODES)
         solved = rates(policy, spread, (runs, 1), rng) > np.where(
             rng.random((runs, EPISODES)) < 0.5, difficulty, rng.random((runs, EPISODES))
         )
-        alone = controller > difficulty
-        found.append(paired_interval(solved.astype(float) - alone, bound=1.0))
+        return solved.astype(float) - (controller > difficulty)
+
+    tables = [[differences() for _ in range(tasks)] for _ in range(studies)]
+    found = [paired_interval(*table, bound=1.0) for table in tables]
     return _coverage(np.array(found), policy - controller)
 
 

@@ -93,7 +93,7 @@ def mean_interval(values: Values) -> Interval:
     return float(array.mean()) - half, float(array.mean()) + half
 
 
-def paired_interval(differences: Values, bound: float | None = None) -> Interval:
+def paired_interval(*differences: Values, bound: float | None = None) -> Interval:
     """Return an interval of the mean difference of two arms on the same episodes.
 
     The squared errors over runs and over episodes are added, with Satterthwaite's degrees of
@@ -101,21 +101,26 @@ def paired_interval(differences: Values, bound: float | None = None) -> Interval
     (Bonett and Price, 2012): the interval never has zero width.
 
     Args:
-        differences: One arm less the other for every run and episode, ``[S, N]``.
+        differences: One arm less the other for every run and episode, ``[S, N]``; several are of
+            fixed tasks, and the interval is of the mean of the tasks.
         bound: The largest possible difference; 1 for successes.
     """
-    table = np.atleast_2d(np.asarray(differences, dtype=float))
+    tables = [np.atleast_2d(np.asarray(table, dtype=float)) for table in differences]
     if bound is not None:
-        ends = np.repeat([[bound, -bound]], len(table), axis=0)
-        table = np.concatenate([table, ends], axis=1)
-    runs, episodes = table.shape
-    parts = [table.mean(axis=0).var(ddof=1) / episodes] if episodes > 1 else []
-    parts += [table.mean(axis=1).var(ddof=1) / runs] if runs > 1 else []
-    freedoms = [count - 1 for count in (episodes, runs) if count > 1]
-    if not parts:
+        tables = [np.pad(table, ((0, 0), (0, 2)), constant_values=bound) for table in tables]
+        for table in tables:
+            table[:, -1] = -bound
+    errors = [_paired_errors(table) for table in tables]
+    if not all(errors):
         return NO_INTERVAL
-    errors = list(zip(parts, freedoms, strict=True))
-    return _satterthwaite(float(table.mean()), errors, bound)
+    parts = [(part / len(tables) ** 2, freedom) for error in errors for part, freedom in error]
+    return _satterthwaite(float(np.mean([table.mean() for table in tables])), parts, bound)
+
+
+def _paired_errors(table: NDArray[Any]) -> list[tuple[float, int]]:
+    """Squared errors of the mean over episodes and over runs, with their freedoms."""
+    ways = [(table.mean(axis=way), count - 1) for way, count in enumerate(table.shape[::-1])]
+    return [(m.var(ddof=1) / len(m), freedom) for m, freedom in ways if freedom]
 
 
 def unpaired_interval(values: Values, others: Values, bound: float | None = None) -> Interval:

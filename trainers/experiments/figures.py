@@ -15,7 +15,7 @@ from ..evaluation.statistics import mean_interval
 from ..metric_names import ACCEPTED, CONTROLLER
 from ..report.curves import ALONE, alike, controllers, view
 from ..report.learning_curve import ACCEPTED_COLOR, CONTROLLER_COLOR, RESIDUAL_COLOR, draw_mean
-from .front import SHOWN, draw_front
+from . import changes, front
 from .looks import COLORS, MARKERS, PANELS, unit_of
 from .outcomes import Finding, Outcome
 from .spec import Experiment
@@ -31,7 +31,7 @@ INTERVAL = "mean and 95 % confidence interval over seeds"
 def draw(experiment: Experiment, finding: Finding, folder: Path) -> Path:
     """Draw an experiment's figure; return the PNG, with the SVG beside it."""
     kinds = {"curves": _curves, "sweep": _sweep, "spread": _spread, "table": _table}
-    kinds |= {"tasks": _tasks, "front": draw_front}
+    kinds |= {"tasks": _tasks, "front": front.draw_front, "changes": changes.draw_changes}
     figure = kinds[experiment.figure](experiment, finding)
     if experiment.figure != "table":
         _finish(figure, experiment, finding)
@@ -182,7 +182,7 @@ def _finish(figure: Figure, experiment: Experiment, finding: Finding) -> None:
         named = dict(zip(labels, handles, strict=True)) | named
     look: dict[str, Any] = {"loc": "outside lower center", "frameon": False, "fontsize": 9}
     figure.legend(list(named.values()), list(named), ncols=min(3, len(named)), **look)
-    shown = SHOWN if experiment.figure == "front" else INTERVAL
+    shown = {"front": front.SHOWN, "changes": changes.SHOWN}.get(experiment.figure, INTERVAL)
     figure.suptitle(f"{experiment.heading}\n{_seeds(finding)}, {shown}", fontsize=10)
 
 

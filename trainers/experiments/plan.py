@@ -180,7 +180,7 @@ def _check(experiment: Experiment, config: Mapping[str, Any]) -> None:
     """Refuse runs that do not log what the experiment shows of them."""
     trainer, known = config["trainer"], config["env"].get("metrics") or {}
     every, total = trainer["evaluation"]["every"], trainer["total_steps"]
-    if experiment.figure in ("curves", "tasks") and not every:
+    if experiment.figure in ("curves", "tasks", "changes") and not every:
         raise ValueError(
             f"{experiment.name}: expected trainer.evaluation.every above 0 for curves, got 0"
         )

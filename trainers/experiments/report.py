@@ -12,6 +12,7 @@ from ..launch.job import Job
 from ..launch.pool import Ending
 from ..report.markdown import MarkdownPage
 from ..report.page import Page
+from . import changes
 from .claims import Verdict
 from .front import front_rows
 from .outcomes import Finding, Findings
@@ -133,12 +134,17 @@ def _add(
     if experiment.figure == "tasks":
         page.table(HEADER, [standing_row(outcome) for outcome in finding.outcomes])
         page.text(READING)
+    if experiment.figure == "changes":
+        for measure in changes.MEASURES:
+            page.text(f"Success, or return where none is reported; {measure.name}:")
+            page.table(*changes.change_rows(experiment, finding, measure))
+        page.text(changes.READING)
     png = shown.figures[experiment.name]
     figure = png.relative_to(beside) if beside else png.with_suffix(".svg")
     page.image(figure, f"Experiment `{experiment.name}`")
     if experiment.figure == "front":
         page.table(*front_rows(experiment, finding))
-    elif experiment.figure not in ("spread", "tasks"):
+    elif experiment.figure not in ("spread", "tasks", "changes"):
         _tables(page, experiment, finding)
     seeds = "" if shown.settings.seeds is None else f" seeds={shown.settings.seeds}"
     again = f"rrl reproduce {experiment.name} scale={shown.settings.scale}{seeds}"

@@ -18,6 +18,7 @@ __all__ = [
     "Scale",
     "Settings",
     "Sweep",
+    "arm_of",
     "load_experiments",
     "load_settings",
 ]
@@ -60,7 +61,8 @@ class Experiment(_Section):
         title: What is shown.
         paper: Where the paper has it; None: nowhere.
         figure: What is drawn: ``curves``, ``sweep``, ``table``, ``spread``; ``front``: success
-            against ``metric``; ``tasks``: every arm is a task of its own, with its own controller.
+            against ``metric``; ``tasks``: every arm is a task of its own, with its own controller;
+            ``changes``: every change against the first of them, on every task.
         metric: What ``front`` draws success against: a quantity that the environment reports.
         by_name: Whether it is left out where no experiment is named.
         seeds: How many, instead of the scale's number.
@@ -80,7 +82,7 @@ class Experiment(_Section):
     name: str
     title: str
     paper: str | None = None
-    figure: Literal["curves", "sweep", "table", "spread", "front", "tasks"]
+    figure: Literal["curves", "sweep", "table", "spread", "front", "tasks", "changes"]
     metric: PlainName | None = None
     by_name: bool = False
     seeds: Positive | None = None
@@ -103,11 +105,18 @@ class Experiment(_Section):
     def all_arms(self) -> dict[str, Overrides]:
         """Every change on every task, and the other arms."""
         crossed = {
-            f"{task}, {change}": (*of_task, *of_change)
+            arm_of(task, change): (*of_task, *of_change)
             for task, of_task in self.tasks.items()
             for change, of_change in self.changes.items()
         }
         return {**crossed, **self.arms}
+
+    @property
+    def all_changes(self) -> list[str]:
+        """The changes of every task, then those that ``arms`` makes on one of them."""
+        arms = [arm.removeprefix(arm_of(task, "")) for arm in self.arms for task in self.tasks]
+        own = [change for change in arms if change not in self.arms]
+        return list(dict.fromkeys([*self.changes, *own]))
 
     @model_validator(mode="after")
     def _check(self) -> Experiment:
@@ -119,9 +128,23 @@ class Experiment(_Section):
             raise ValueError(f"expected no {own[0]} beside runs_of, which brings them")
         if self.figure == "sweep" and not (self.sweep or self.runs_of):
             raise ValueError("figure: sweep needs a sweep")
+        if self.figure == "changes":
+            self._check_changes()
         if (self.figure == "front") != (self.metric is not None):
             raise ValueError("expected metric with figure: front, and only there")
         return self
+
+    def _check_changes(self) -> None:
+        if not self.tasks:
+            raise ValueError("figure: changes needs tasks and changes")
+        for arm in self.arms:
+            if not arm.startswith(tuple(arm_of(task, "") for task in self.tasks)):
+                raise ValueError(f"arms: expected TASK, CHANGE of one of the tasks, got {arm!r}")
+
+
+def arm_of(task: str, change: str) -> str:
+    """Return the name of the arm that makes a change on a task."""
+    return f"{task}, {change}"
 
 
 class Scale(_Section):

@@ -127,7 +127,7 @@ def gain(records: Sequence[Record]) -> tuple[float, Interval]:
     bound = 1.0 if entry == "success" else None
     difference = float(values.mean() - alone.mean())
     if all(map(is_frozen, records)):
-        return difference, paired_interval(values - alone, bound)
+        return difference, paired_interval(values - alone, bound=bound)
     return difference, unpaired_interval(values, alone, bound)
 
 

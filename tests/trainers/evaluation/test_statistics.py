@@ -110,6 +110,20 @@ def test_paired_interval_covers_at_least_about_as_often_as_it_says(runs):
     assert width < 0.25
 
 
+@pytest.mark.parametrize("runs", [1, 3])
+def test_paired_interval_of_several_tasks_covers_their_mean_and_is_narrower(runs):
+    _, one = coverage.paired_coverage(0.5, 0.9, 0.05, runs, studies=100)
+    covered, width = coverage.paired_coverage(0.5, 0.9, 0.05, runs, studies=400, tasks=4)
+    assert covered >= (0.92 if runs > 1 else 0.85)  # one run knows nothing of the spread of runs
+    assert width == pytest.approx(one / 2, rel=0.2)
+
+
+def test_paired_interval_of_unequal_tasks_weighs_each_alike():
+    low, high = paired_interval([[0.0, 0.2], [0.1, 0.3]], [[1.0], [1.2]])
+    assert (low + high) / 2 == pytest.approx((0.15 + 1.1) / 2)
+    assert np.isnan(paired_interval([[0.0, 0.2], [0.1, 0.3]], [[1.0]])).all()
+
+
 def test_paired_interval_is_bonetts_and_prices_for_one_run():
     # 12 rescued, 2 broken of 100: (12 + 1 - 2 - 1) / 102 and its standard error, by hand
     differences = np.repeat([1.0, -1.0, 0.0], [12, 2, 86])

@@ -1,0 +1,170 @@
+"""What each change of the settings does on each task, against the first of the changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ..evaluation.statistics import Interval, mean_interval, paired_interval, success_interval
+from ..metric_names import CONTROLLER
+from ..report.curves import Floats
+from ..report.learning_curve import ACCEPTED_COLOR, RESIDUAL_COLOR
+from ..report.runs import Run
+from ..report.tables import handed_over, with_interval
+from .looks import unit_of
+from .outcomes import Finding, Outcome
+from .spec import Experiment, arm_of
+from .tables import Table
+
+__all__ = ["MEASURES", "READING", "SHOWN", "Measure", "change_rows", "draw_changes"]
+
+SHOWN = "change against the first row, 95 % interval over runs and episodes"
+"""What the figure's marks are."""
+READING = (
+    "The controller and the first change are given as they are, the others as their difference to "
+    "the first on the same seeds and the same episodes. The mean is over the tasks that the change "
+    "was made on, if all of them report success. The tasks are fixed: its interval speaks of runs "
+    "and episodes like these on these tasks."
+)
+"""How the tables are to be read."""
+MEAN = "mean of the tasks"
+Pair = tuple[Outcome, Outcome]
+"""A task's arm with a change, and its arm with the first of the changes."""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A number by which changes are compared.
+
+    Attributes:
+        name: What it is.
+        of: A run and an entry to values: one for each frozen episode, or one for the whole run.
+        color: In the figure.
+    """
+
+    name: str
+    of: Callable[[Run, str], Floats]
+    color: str
+
+
+def _latest(run: Run, entry: str) -> Floats:
+    return np.asarray(run.results[run.followed]["episodes"][entry], dtype=float)
+
+
+def _handed_over(run: Run, entry: str) -> Floats:
+    return np.asarray(handed_over(run.results[run.followed])["episodes"][entry], dtype=float)
+
+
+def _on_the_way(run: Run, entry: str) -> Floats:
+    return np.array([np.mean([value for _, value in run.evaluations(entry)])])
+
+
+MEASURES = (
+    Measure("the latest policy, final episodes", _latest, RESIDUAL_COLOR),
+    Measure("the latest policy, mean of the evaluations during training", _on_the_way, "#e69f00"),
+    Measure("what is handed over, final episodes", _handed_over, ACCEPTED_COLOR),
+)
+
+
+def change_rows(experiment: Experiment, finding: Finding, measure: Measure) -> Table:
+    """Return a row for the controller, one for the first change, and what each other one does."""
+    base, *others = experiment.all_changes
+    first = _pairs(experiment, finding, base)
+    alone = [_level(outcome, measure, CONTROLLER) for outcome, _ in first.values()]
+    levels = [_level(outcome, measure) for outcome, _ in first.values()]
+    rows = [["the controller alone", *alone, ""], [base, *levels, ""]]
+    for change in others:
+        pairs = _pairs(experiment, finding, change)
+        cells = [_cell([pairs[task]], measure) if task in pairs else "" for task in first]
+        rows.append([change, *cells, _cell(list(pairs.values()), measure) if pairs else ""])
+    return ["change", *first, MEAN], rows
+
+
+def draw_changes(experiment: Experiment, finding: Finding) -> Figure:
+    """Draw a panel for every task and one for their mean: what the changes do, by each measure."""
+    base, *others = experiment.all_changes
+    tasks = list(_pairs(experiment, finding, base))
+    size = 1.8 + 2.3 * (len(tasks) + 1), 1.6 + 0.34 * len(others)
+    figure = Figure(figsize=size, layout="constrained")
+    axes = list(figure.subplots(1, len(tasks) + 1, sharey=True, squeeze=False)[0])
+    for axis, task in zip(axes, [*tasks, MEAN], strict=True):
+        for row, change in enumerate(others):
+            pairs = _pairs(experiment, finding, change)
+            shown = list(pairs.values()) if task == MEAN else [pairs[task]] if task in pairs else []
+            for n, measure in enumerate(MEASURES):
+                _mark(axis, shown, measure, row + 0.22 * (n - 1))
+        axis.axvline(0.0, color="#999999", lw=1)
+        axis.set_title(task, fontsize=9)
+        axis.set_xlabel("change", fontsize=8)
+    axes[0].set_yticks(range(len(others)), others)
+    axes[0].invert_yaxis()
+    return figure
+
+
+def _pairs(experiment: Experiment, finding: Finding, change: str) -> dict[str, Pair]:
+    """By task the arms to compare, where both have a run with the same seed."""
+    arms = {outcome.point.arm: outcome for outcome in finding.outcomes}
+    found = {}
+    for task in experiment.tasks:
+        with_change, base = (
+            arms.get(arm_of(task, name)) for name in (change, experiment.all_changes[0])
+        )
+        if with_change and base and _seeds(with_change) & _seeds(base):
+            found[task] = with_change, base
+    return found
+
+
+def _seeds(outcome: Outcome) -> set[int]:
+    return {run.seed for run in outcome.runs}
+
+
+def _effect(pairs: Sequence[Pair], measure: Measure) -> tuple[float, Interval] | None:
+    """The mean over tasks of what a change does; None of tasks that are measured differently."""
+    entries = {outcome.measured_by for pair in pairs for outcome in pair}
+    if entries != {"success"} and len(pairs) != 1:
+        return None
+    entry = entries.pop()
+    tables = []
+    for pair in pairs:
+        seeds = set.intersection(*map(_seeds, pair))
+        changed, base = (
+            np.array([measure.of(run, entry) for run in outcome.runs if run.seed in seeds])
+            for outcome in pair
+        )
+        tables.append(changed - base)  # (S, N)
+    by_episode = entry == "success" and all(table.shape[1] > 1 for table in tables)
+    change = float(np.mean([table.mean() for table in tables]))
+    return change, paired_interval(*tables, bound=1.0 if by_episode else None)
+
+
+def _cell(pairs: Sequence[Pair], measure: Measure) -> str:
+    if (found := _effect(pairs, measure)) is None:
+        return ""
+    return with_interval(*found, unit_of(pairs[0][0].measured_by), sign="+")
+
+
+def _level(outcome: Outcome, measure: Measure, prefix: str = "") -> str:
+    """What an arm came to; its controller, alike in all runs, without an interval."""
+    entry = outcome.measured_by
+    values = np.array([measure.of(run, prefix + entry) for run in outcome.runs])  # (S, N)
+    unit = unit_of(entry)
+    if prefix:
+        return f"{values.mean() * unit:.1f} %" if entry == "success" else f"{values.mean():.2f}"
+    interval = mean_interval(values.mean(axis=1))
+    if entry == "success" and values.shape[1] > 1:
+        interval = success_interval(values.sum(axis=1).astype(int).tolist(), values.shape[1])
+    return with_interval(values.mean(), interval, unit)
+
+
+def _mark(axis: Axes, pairs: Sequence[Pair], measure: Measure, height: float) -> None:
+    found = _effect(pairs, measure) if pairs else None
+    if found is None:
+        return
+    (change, interval), unit = found, unit_of(pairs[0][0].measured_by)
+    error = unit * np.nan_to_num(np.abs(np.subtract(interval, change)))[:, None]
+    look = {"color": measure.color, "capsize": 2, "ms": 4, "lw": 1.2}
+    axis.errorbar(unit * change, height, xerr=error, fmt="o", label=measure.name, **look)
