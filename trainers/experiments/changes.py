@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -166,5 +167,5 @@ def _mark(axis: Axes, pairs: Sequence[Pair], measure: Measure, height: float) ->
         return
     (change, interval), unit = found, unit_of(pairs[0][0].measured_by)
     error = unit * np.nan_to_num(np.abs(np.subtract(interval, change)))[:, None]
-    look = {"color": measure.color, "capsize": 2, "ms": 4, "lw": 1.2}
+    look: dict[str, Any] = {"color": measure.color, "capsize": 2, "ms": 4, "lw": 1.2}
     axis.errorbar(unit * change, height, xerr=error, fmt="o", label=measure.name, **look)
