@@ -83,6 +83,7 @@ print(sorted(name for name in os.environ if name.startswith(("MUJOCO", "PYOPENGL
     assert run(TRAIN + check, MUJOCO_GL="osmesa") == "stepped\n[]\n['MUJOCO_GL']\n"
 
 
+@pytest.mark.slow
 def test_pixel_observables_and_mujocos_renderer_choose_a_backend_later() -> None:
     output = run(TRAIN + PIXELS)
     assert "no pixels" in output or output.endswith("pixels True\nmujoco (24, 32, 3)\n")

@@ -15,10 +15,15 @@ TASKS = {
     "walker-stand": ["orientations", "height", "velocity"],
     "manipulator-bring_ball": ["arm_pos", "arm_vel", "touch", "hand_pos", "object_pos"],
 }
+OTHERS = {"cheetah-run", "cartpole-swingup", "hopper-hop"}
+"""Alike, for the code under test, to those that stay."""
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-@pytest.mark.parametrize("name", TASKS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(task, marks=pytest.mark.slow if task in OTHERS else ()) for task in TASKS],
+)
 def test_a_task_is_trained(check_run, factory, name):
     domain, task = name.split("-")
     environment = factory(partial(DMControlEnv, domain, task), TASKS[name])

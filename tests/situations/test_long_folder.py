@@ -26,7 +26,8 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.parametrize("length", [pytest.param(1, marks=pytest.mark.slow), 150])
+@pytest.mark.slow
+@pytest.mark.parametrize("length", [1, 150])
 def test_workers_start_below_any(tmp_path, length):
     folder = tmp_path / ("t" * length)
     folder.mkdir()

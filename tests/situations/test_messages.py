@@ -24,7 +24,8 @@ def controller(deep):
 
 
 @pytest.mark.parametrize(
-    ("deep", "collection"), [(False, "turn"), (True, "turn"), (True, "overlap")]
+    ("deep", "collection"),
+    [(False, "turn"), (True, "turn"), pytest.param(True, "overlap", marks=pytest.mark.slow)],
 )
 def test_an_error_of_the_user_s_own_code_has_its_place(
     tmp_path, monkeypatch, capsys, deep, collection

@@ -150,6 +150,7 @@ def test_a_reset_may_be_refused(env, address):
     wait_until_it_is_back(env)
 
 
+@pytest.mark.slow
 def test_a_plant_that_died_is_silent_and_a_new_one_is_found():
     where = an_address()
     with plant(where) as process:

@@ -66,7 +66,9 @@ class Law:
 @pytest.mark.parametrize(
     ("function", "why"), [(pd, "pd calls NumPy"), (Law, "Law remembers outside torch")]
 )
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize(
+    "dtype", [torch.float32, pytest.param(torch.float64, marks=pytest.mark.slow)]
+)
 def test_a_function_outside_says_why(function, why, dtype, tmp_path):
     factory = make(partial(FunctionController, function, ["position"]), dtype)
     content = export_policy(factory, policy_for(factory), tmp_path / "export")

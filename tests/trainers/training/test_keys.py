@@ -168,8 +168,11 @@ def test_keys_pause_judge_and_stop(terminal):
     ("how", "signals", "status"),
     [
         ("works", [signal.SIGTERM], 128 + signal.SIGTERM),
-        ("takes its time", [signal.SIGTERM, signal.SIGTERM], -signal.SIGTERM),
-        ("works", [signal.SIGINT], 128 + signal.SIGINT),
+        pytest.param(
+            *("takes its time", [signal.SIGTERM, signal.SIGTERM], -signal.SIGTERM),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(*("works", [signal.SIGINT], 128 + signal.SIGINT), marks=pytest.mark.slow),
         ("breaks", [], 1),
     ],
 )

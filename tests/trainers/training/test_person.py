@@ -190,8 +190,15 @@ def test_training_robot_and_reset_time_are_counted_apart(make, collection):
     again.close()
 
 
-@pytest.mark.parametrize("every", [0, 100])
-@pytest.mark.parametrize("tested", [False, True])
+@pytest.mark.parametrize(
+    ("every", "tested"),
+    [
+        (0, False),
+        (100, True),
+        pytest.param(100, False, marks=pytest.mark.slow),
+        pytest.param(0, True, marks=pytest.mark.slow),
+    ],
+)
 def test_how_many_episodes_are_played_is_said_before(make, caplog, every, tested):
     caplog.set_level("INFO", logger="rrl")
     shown = EvaluationSettings(every=every, episodes=4, final_episodes=6, slots=2)

@@ -142,7 +142,10 @@ BASES = {
 
 @pytest.mark.parametrize(
     "kind",
-    [pytest.param(k, marks=pytest.mark.slow if k == "parallel" else ()) for k in BASES],
+    [
+        pytest.param(k, marks=() if k in ("native", "two cameras") else pytest.mark.slow)
+        for k in BASES
+    ],
 )
 def test_a_run_that_dies_is_the_run_that_never_died(make, seeing, kind):
     base, batching, num_envs, changes = BASES[kind]

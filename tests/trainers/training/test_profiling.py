@@ -42,6 +42,7 @@ def test_what_a_second_process_does_stands_below_the_sum(make_trainer, simulated
     assert first.index("sum") == first.index("background") - 1
 
 
+@pytest.mark.slow
 def test_without_it_the_parts_of_a_collection_are_not_timed(make_trainer):
     with make_trainer() as trainer:
         trainer.run()

@@ -106,7 +106,10 @@ def test_so_it_is_with_compiled_updates(make, algorithm, collection):
 @pytest.mark.parametrize("collection", ["turn", pytest.param("overlap", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "kind",
-    [pytest.param(k, marks=pytest.mark.slow if k == "parallel" else ()) for k in ENVIRONMENTS],
+    [
+        pytest.param(k, marks=() if k in ("serial", "native") else pytest.mark.slow)
+        for k in ENVIRONMENTS
+    ],
 )
 def test_so_it_is_with_every_kind_of_environment(make, factory, kind, collection):
     base, batching, num_envs = ENVIRONMENTS[kind]
@@ -168,6 +171,7 @@ class Standing(RememberingPointMass):
         pass
 
 
+@pytest.mark.slow
 def test_what_was_stopped_for_an_evaluation_begins_an_episode_after_a_resume_too(make, simulated):
     """Evaluation and checkpoint fall into the middle of an episode."""
     changes = {

@@ -173,6 +173,7 @@ def test_a_robot_that_is_blind_at_a_reset_costs_an_episode(make, caplog):
     assert caplog.text.count("goal: NaN or infinity") == 1
 
 
+@pytest.mark.slow
 def test_a_record_that_is_not_finite_is_replaced_by_its_neighbor(make, tmp_path, caplog):
     data = acted(run(make()).run_dir)
     log, bad = TransitionLog(tmp_path / "other"), data.clone()
