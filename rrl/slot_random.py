@@ -11,8 +11,6 @@ import torch
 from torch import Tensor
 from torchrl.envs import EnvBase, SerialEnv, TransformedEnv
 
-from rrl.checks import check_whole
-
 _MAX_DRAWN_SEED = 2**31
 
 
@@ -25,17 +23,14 @@ class SlotGenerators:
     Args:
         seed: Seed of slot 0. None draws a seed from torch's global generator at first use, which is
             what ``ParallelEnv.set_seed`` sets in its workers.
-        num_slots: Number of slots, at least 1.
         stream: Name of the consumer. Two consumers with the same seed and different streams draw
             unrelated numbers; the empty stream uses ``seed + i`` itself.
 
     Raises:
-        ValueError: If ``num_slots`` is not a positive integer.
         TypeError: If ``seed`` is neither an integer nor None.
     """
 
-    def __init__(self, seed: int | None, num_slots: int, stream: str = "") -> None:
-        self.num_slots = check_whole("num_slots", num_slots, 1)
+    def __init__(self, seed: int | None, stream: str = "") -> None:
         self.stream = stream
         self.seed(seed)
 
@@ -49,38 +44,36 @@ class SlotGenerators:
         if self._seed is None:
             self._generators = None
 
-    def resize(self, num_slots: int) -> None:
-        """Change the number of slots; all start anew from the seed."""
-        if num_slots != self.num_slots:
-            self.num_slots = check_whole("num_slots", num_slots, 1)
-            self._generators = None
-
-    def normal(self, shape: Sequence[int], mask: Tensor | None = None) -> Tensor:
+    def normal(
+        self, batch: torch.Size, shape: Sequence[int] = (), mask: Tensor | None = None
+    ) -> Tensor:
         """Draw standard normal numbers.
 
         Args:
+            batch: Batch of the slots. With another number of slots than before, all start anew.
             shape: Shape of one slot's draw.
-            mask: Slots that draw, bool ``[num_slots]``; None means all. The others get zeros and
+            mask: Slots that draw, bool ``[*batch]``; None means all. The others get zeros and
                 their generators stay where they are.
 
         Returns:
-            float32 ``[num_slots, *shape]`` on the CPU.
+            float32 ``[*batch, *shape]`` on the CPU.
         """
-        return self._draw(torch.Tensor.normal_, shape, mask)
+        return self._draw(torch.Tensor.normal_, batch, shape, mask)
 
-    def uniform(self, shape: Sequence[int], mask: Tensor | None = None) -> Tensor:
+    def uniform(
+        self, batch: torch.Size, shape: Sequence[int] = (), mask: Tensor | None = None
+    ) -> Tensor:
         """Draw numbers uniform in [0, 1); see :meth:`normal`."""
-        return self._draw(torch.Tensor.uniform_, shape, mask)
+        return self._draw(torch.Tensor.uniform_, batch, shape, mask)
 
     def state_dict(self) -> dict[str, Any]:
         """Return seed and state of every generator, to be continued exactly."""
         states = None if self._generators is None else [g.get_state() for g in self._generators]
-        return {"seed": self._seed, "num_slots": self.num_slots, "states": states}
+        return {"seed": self._seed, "states": states}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Take over the state of :meth:`state_dict`, including the number of slots."""
         self._seed = state["seed"]
-        self.num_slots = state["num_slots"]
         states = state["states"]
         self._generators = None
         if states is not None:
@@ -88,18 +81,20 @@ class SlotGenerators:
             for generator, value in zip(self._generators, states, strict=True):
                 generator.set_state(value)
 
-    def _draw(self, fill: Any, shape: Sequence[int], mask: Tensor | None) -> Tensor:
-        if self._generators is None:
+    def _draw(
+        self, fill: Any, batch: torch.Size, shape: Sequence[int], mask: Tensor | None
+    ) -> Tensor:
+        slots: Sequence[int] = range(batch.numel())
+        if self._generators is None or len(self._generators) != len(slots):
             first = int(torch.randint(_MAX_DRAWN_SEED, ())) if self._seed is None else self._seed
-            seeds = (_stream_seed(first + slot, self.stream) for slot in range(self.num_slots))
+            seeds = (_stream_seed(first + slot, self.stream) for slot in slots)
             self._generators = [torch.Generator().manual_seed(seed) for seed in seeds]
-        out = torch.zeros((self.num_slots, *shape), dtype=torch.float32)
-        slots: Sequence[int] = range(self.num_slots)
+        out = torch.zeros((len(slots), *shape), dtype=torch.float32)
         if mask is not None:
             slots = mask.flatten().nonzero().flatten().tolist()
         for slot in slots:
             fill(out[slot], generator=self._generators[slot])
-        return out
+        return out.reshape((*batch, *shape))
 
 
 class Seeded:

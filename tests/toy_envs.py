@@ -51,7 +51,7 @@ class PointMass(EnvBase):
         self._blind_reset = blind_reset
         self._drift = torch.zeros(dim)
         self._drift[0] = drift
-        self._generators = SlotGenerators(seed, max(self.batch_size.numel(), 1), "point-mass")
+        self._generators = SlotGenerators(seed, "point-mass")
         batch = self.batch_size
         self._position = torch.zeros(*batch, dim)
         self._goal = torch.zeros(*batch, dim)
@@ -83,7 +83,7 @@ class PointMass(EnvBase):
         if mask is None:
             mask = torch.ones(*self.batch_size, 1, dtype=torch.bool)
         mask = mask.reshape(*self.batch_size, 1)
-        draw = self._generators.uniform((2, self.dim), mask).reshape(*self.batch_size, 2, self.dim)
+        draw = self._generators.uniform(self.batch_size, (2, self.dim), mask)
         position, goal = (draw - 0.5).unbind(-2)
         self._position = torch.where(mask, position, self._position)
         self._goal = torch.where(mask, goal, self._goal)

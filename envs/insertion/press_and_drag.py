@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from rrl.checks import check
 from rrl.controllers import StatefulController
 from rrl.controllers.base import State
+
+UNIT = 0.02
+"""Length of one action unit [m]."""
+REACH = 0.02
+"""Distance from the goal, along x, where the tool comes down [m]."""
+REST = 0.08
+"""Height of the tool above its goal when the held block rests on the standing blocks [m]."""
+ABOVE = REST + 0.01
+"""Height at which the tool crosses over [m]."""
+PRESS = float("nan")
+"""In the place of a height: press down."""
 
 
 class PressAndDrag(StatefulController):
@@ -22,42 +30,21 @@ class PressAndDrag(StatefulController):
 
     Args:
         press: Action along z while dragging, 0 to 1 downwards.
-        reach: Distance from the goal, along x, where the tool comes down [m].
         drag: Length of the drag [m].
-        rest: Height of the tool above its goal when the held block rests on the standing blocks
-            [m].
-        clearance: Height above that at which the tool crosses over [m].
-        durations: Steps of approach, drag right, cross over, drag left and return; then it inserts.
-        unit: Length of one action unit [m].
-
-    Raises:
-        ValueError: If there are not five durations.
     """
 
-    def __init__(
-        self,
-        press: float,
-        reach: float = 0.02,
-        drag: float = 0.018,
-        rest: float = 0.08,
-        clearance: float = 0.01,
-        durations: Sequence[int] = (7, 6, 6, 6, 6),
-        unit: float = 0.02,
-    ) -> None:
+    def __init__(self, press: float, drag: float = 0.018) -> None:
         super().__init__(["end_effector_position", "goal"])
-        check("durations", durations, "five numbers of steps", len(durations) == 5)
-        self.press, self.unit = press, unit
-        far, above, nan = reach + drag, rest + clearance, float("nan")
-        approach, right, across, left, back = durations
-        # Of each step the tool's x and z relative to the goal; NaN: press.
+        self.press, far = press, REACH + drag
+        # Of each step the tool's x and z relative to the goal [m]; it stays at the last.
         targets = [
-            *[(reach, rest + clearance / 2)] * approach,
-            *[(far, nan)] * right,
-            *[(far, above)] * min(2, across),  # up first, then across
-            *[(-reach, above)] * (across - 2),
-            *[(-far, nan)] * left,
-            *[(-far, above)] * min(2, back),
-            *[(0.0, above)] * (back - 2),
+            *[(REACH, REST + 0.005)] * 7,
+            *[(far, PRESS)] * 6,
+            *[(far, ABOVE)] * 2,
+            *[(-REACH, ABOVE)] * 4,
+            *[(-far, PRESS)] * 6,
+            *[(-far, ABOVE)] * 2,
+            *[(0.0, ABOVE)] * 4,
             (0.0, 0.0),
         ]
         self.register_buffer("_targets", torch.tensor(targets), persistent=False)
@@ -76,9 +63,9 @@ class PressAndDrag(StatefulController):
         error = self.read(tensordict, "goal") - self.read(tensordict, "end_effector_position")
         action = torch.stack(
             [
-                ((error[..., 0] + x) / self.unit).clamp(-0.8, 0.8),
-                (0.4 * error[..., 1] / self.unit).clamp(-0.5, 0.5),
-                torch.where(z.isnan(), -self.press, (error[..., 2] + z) / self.unit),
+                ((error[..., 0] + x) / UNIT).clamp(-0.8, 0.8),
+                (0.4 * error[..., 1] / UNIT).clamp(-0.5, 0.5),
+                torch.where(z.isnan(), -self.press, (error[..., 2] + z) / UNIT),
             ],
             -1,
         )

@@ -58,7 +58,7 @@ class ScriptedOperator(Seeded, StatefulController):
         self.share, self.noise = check_share("share", share), noise
         self.reversed_share = check_share("reversed_share", reversed_share)
         self.steps = None if steps is None else check_whole("steps", steps, 1)
-        self._generators = SlotGenerators(seed, 1, "ScriptedOperator")
+        self._generators = SlotGenerators(seed, "ScriptedOperator")
 
     def seed(self, seed: int | None) -> None:
         """Start the random numbers anew from ``seed``."""
@@ -93,7 +93,7 @@ class ScriptedOperator(Seeded, StatefulController):
             command = torch.where(shaped_like(command, wrong), -command, command)
         if self.noise:
             shape = command.shape[tensordict.batch_dims :]
-            drawn = self._generators.normal(shape).reshape(command.shape)
+            drawn = self._generators.normal(tensordict.batch_size, shape)
             command = command + self.noise * drawn.to(command)
         tensordict.set(OPERATOR_ACTION, command)
         taken_over = shaped_like(command, taken_over).expand(*command.shape[:-1], 1)
@@ -124,7 +124,5 @@ class ScriptedOperator(Seeded, StatefulController):
 
     def _uniform(self, tensordict: TensorDictBase, mask: Tensor | None) -> Tensor:
         """Draw one number a slot, uniform in [0, 1), ``[*batch]``, on the device of the data."""
-        batch = tensordict.batch_size
-        self._generators.resize(batch.numel())
-        drawn = self._generators.uniform((), mask).reshape(batch)
+        drawn = self._generators.uniform(tensordict.batch_size, mask=mask)
         return drawn if tensordict.device is None else drawn.to(tensordict.device)

@@ -97,7 +97,7 @@ class ControlNoise(ActionTransform, RandomTransform):
         if self._noisy:
             batch = tensordict.batch_size
             shape = action.shape[len(batch) :]
-            noise = self.draw_normal(batch, shape, step_mask(tensordict, batch)).to(action)
+            noise = self.generators.normal(batch, shape, step_mask(tensordict, batch)).to(action)
             # Separate product and sums: fused ones round differently in different places of a
             # batch.
             disturbed = disturbed + noise * self._deviation

@@ -7,7 +7,6 @@ from abc import abstractmethod
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec
@@ -171,7 +170,7 @@ class RandomTransform(Seeded, SlotTransform):
 
     def __init__(self, *, seed: int | None, stream: str, **keys: Sequence[NestedKey]) -> None:
         super().__init__(**keys)
-        self._generators = SlotGenerators(seed, 1, stream)
+        self.generators = SlotGenerators(seed, stream)
 
     def silence(self) -> None:
         """Take away the fault and keep the entries: a real sensor or actuator has its own.
@@ -186,32 +185,20 @@ class RandomTransform(Seeded, SlotTransform):
 
     def seed(self, seed: int | None) -> None:
         """Start the random numbers anew; see the constructor's ``seed``."""
-        self._generators.seed(seed)
+        self.generators.seed(seed)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        batch = tensordict_reset.batch_size
-        if reset_mask(tensordict, batch) is None:
-            self._generators.renew()
-        self._generators.resize(batch.numel())
+        if reset_mask(tensordict, tensordict_reset.batch_size) is None:
+            self.generators.renew()
         return super()._reset(tensordict, tensordict_reset)
-
-    def draw_normal(self, batch: torch.Size, shape: torch.Size, mask: Mask) -> Tensor:
-        """Draw standard normal numbers ``[*batch, *shape]``, zeros where ``mask`` is False."""
-        self._generators.resize(batch.numel())
-        return self._generators.normal(shape, mask).reshape(batch + shape)
-
-    def draw_uniform(self, batch: torch.Size, mask: Mask) -> Tensor:
-        """Draw numbers ``[*batch]`` uniform in [0, 1), zeros where ``mask`` is False."""
-        self._generators.resize(batch.numel())
-        return self._generators.uniform((), mask).reshape(batch)
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return memory and generators for ``state_dict``."""
-        return super().get_extra_state() | {"generators": self._generators.state_dict()}
+        return super().get_extra_state() | {"generators": self.generators.state_dict()}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Take memory and generators from a ``state_dict``."""
         super().set_extra_state(state)
-        self._generators.load_state_dict(state["generators"])
+        self.generators.load_state_dict(state["generators"])

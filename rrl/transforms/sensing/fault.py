@@ -34,7 +34,7 @@ class SensingFault(RandomTransform):
         )
         check_keys(self, self.in_keys, self.out_keys)
         beside = "" if self.out_keys == self.in_keys else f"/{self.out_keys}"
-        self._generators.stream = f"{type(self).__name__}/{self.in_keys}{beside}"
+        self.generators.stream = f"{type(self).__name__}/{self.in_keys}{beside}"
 
     def _read(self, td: TensorDictBase) -> Memory:
         """Return the entries, each by its number."""

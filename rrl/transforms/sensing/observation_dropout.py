@@ -62,7 +62,9 @@ class ObservationDropout(SensingFault):
         return seen | {_LEFT: left}
 
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
-        draw = self.draw_uniform(next_td.batch_size, mask)  # always, so that outages do not matter
+        draw = self.generators.uniform(
+            next_td.batch_size, mask=mask
+        )  # always: outages do not matter
         begins = (draw < self.probability).to(self.recall(_LEFT).device)
         left = torch.where(self.recall(_LEFT) > 0, self.memory[_LEFT], begins * self.steps)
         lost = left > 0

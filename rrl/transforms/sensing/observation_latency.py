@@ -86,7 +86,7 @@ class ObservationLatency(SensingFault):
         if self.dropout:
             # Drawn at every step, measured or not, so that the numbers do not depend on the
             # interval.
-            kept = (self.draw_uniform(age.shape, stepped) >= self.dropout).to(age.device)
+            kept = (self.generators.uniform(age.shape, mask=stepped) >= self.dropout).to(age.device)
             measured = kept if measured is None else measured & kept
         return measured
 

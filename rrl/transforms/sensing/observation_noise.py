@@ -86,7 +86,7 @@ class ObservationNoise(SensingFault):
     def _disturb(self, value: Tensor, slots: torch.Size, mask: Mask) -> Tensor:
         disturbed = value + self.bias.to(value)
         if self._noisy:
-            noise = self.draw_normal(slots, value.shape[len(slots) :], mask).to(value)
+            noise = self.generators.normal(slots, value.shape[len(slots) :], mask).to(value)
             # Separate product and sums: fused ones round differently in different places of a
             # batch.
             disturbed = disturbed + noise * self.sigma.to(value)
