@@ -16,7 +16,7 @@ class Point(EnvBase):
     It reports ``("metrics", "effort")`` [1], how hard it was pushed: the length of the last action.
 
     Args:
-        absolute: the action is the position to go to, in metres within [-1, 1]^2; else it is the displacement, in
+        absolute: The action is the position to go to, in metres within [-1, 1]^2; else it is the displacement, in
             units of ``STEP`` within [-1, 1]^2.
     """
 

@@ -24,15 +24,14 @@ def n_step_transitions(data: TensorDictBase, n: int, gamma: float) -> TensorDict
     Args:
         data: ``[..., T]`` in the order of time along the last dimension, with ``next`` holding
             ``reward`` and ``done`` of shape ``[..., T, 1]``; left as it is.
-        n: largest number of steps, at least 1.
-        gamma: discount.
+        n: Largest number of steps, at least 1.
+        gamma: Discount.
 
     Returns:
         The same entries, ``[..., T]``, and ``steps_to_next_obs`` [..., T, 1], float32.
 
     Raises:
-        ValueError: if ``n`` is no whole number of at least 1.
-
+        ValueError: If ``n`` is no whole number of at least 1.
     """
     n = check_whole("n_step", n, 1)
     flat = data.reshape(-1, data.shape[-1])  # (B, T)

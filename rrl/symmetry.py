@@ -24,14 +24,13 @@ class Symmetry:
     of the same task with the same reward.
 
     Args:
-        mirrors: for each mirror the map of the observation and the map of the action, such as
+        mirrors: For each mirror the map of the observation and the map of the action, such as
             ``(-1, 2)`` for two numbers of which the mirror turns the first. Centres of mirroring
             must be 0: see :class:`rrl.inputs.Input`.
 
     Raises:
-        ValueError: if a map is no signed permutation, the maps' lengths differ between mirrors, or
+        ValueError: If a map is no signed permutation, the maps' lengths differ between mirrors, or
             there are more than 64 images.
-
     """
 
     def __init__(self, mirrors: Sequence[tuple[Sequence[int], Sequence[int]]]) -> None:
@@ -121,8 +120,7 @@ def as_map(name: str, given: Sequence[int]) -> Map:
     """``given`` as a map.
 
     Raises:
-        ValueError: if it is no signed permutation; the message starts with ``name``.
-
+        ValueError: If it is no signed permutation; the message starts with ``name``.
     """
     numbers = tuple(given)
     if not numbers or sorted(map(abs, numbers)) != list(range(1, len(numbers) + 1)):

@@ -47,7 +47,7 @@ class InsertionEnv(EnvBase):
     ============================  ==========================================================
 
     When physics diverges the episode ends as truncated, with the last finite observation and
-    reward, ``diverged`` is set and :attr:`num_diverged` counts it; a reset recovers the slot.
+    reward, and ``diverged`` is set; a reset recovers the slot.
 
     Slots are independent: each has its own generator, slot i seeded ``seed + i``, and equals bit
     for bit a batch of one seeded ``seed + i``.
@@ -83,7 +83,6 @@ class InsertionEnv(EnvBase):
         super().__init__(device="cpu", batch_size=[num_envs])
         self.config = make_config(variant, overrides)
         self.num_envs = num_envs
-        self.num_diverged = 0
         threads = int(num_threads or 0) or max(
             1, min(available_threads(), num_envs // ENVS_PER_THREAD)
         )
@@ -162,7 +161,6 @@ class InsertionEnv(EnvBase):
         controls = self._simulation.start.controls(self._simulation.sensors, action)
         trace, diverged = self._simulation.step(controls, active)
         self._steps += active
-        self.num_diverged += int(diverged.sum())
         fine = active & ~diverged
         where = slice(None) if fine.all() else fine  # a slice copies nothing
         self._keep(trace[where], where)
@@ -215,7 +213,7 @@ class InsertionEnv(EnvBase):
         """Return what ``state_dict()`` needs to go on in the middle of an episode, bit for bit."""
         arrays = {name: torch.from_numpy(value.copy()) for name, value in self._arrays().items()}
         generators = [generator.bit_generator.state for generator in self._generators]
-        return {**arrays, "generators": generators, "num_diverged": self.num_diverged}
+        return {**arrays, "generators": generators}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore what :meth:`get_extra_state` returned.
@@ -237,7 +235,6 @@ class InsertionEnv(EnvBase):
             simulation.start.set_blocks(model, yaw, place)
         for generator, saved in zip(self._generators, state["generators"], strict=True):
             generator.bit_generator.state = saved
-        self.num_diverged = int(state["num_diverged"])
 
     def _arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays, by name, that hold the environment's state."""

@@ -38,7 +38,6 @@ class InsertionTask(composer.Task):
 
     def __init__(self, config: InsertionConfig) -> None:
         self.config = config
-        self.num_diverged = 0
         self._arena = build_scene(config)
         self._trace: list[np.ndarray] = []
         self._sensors = np.zeros(0)
@@ -103,7 +102,6 @@ class InsertionTask(composer.Task):
         state = np.empty((1, mujoco.mj_stateSize(model, STATE)))
         mujoco.mj_getState(model, data, state[0], STATE)
         if has_diverged(state, self._start_time, model, self.config)[0]:
-            self.num_diverged += 1
             self._outputs[DIVERGED] = np.array([[True]])
         else:
             self._evaluate()

@@ -18,16 +18,16 @@ def create(name: str, folder: Path) -> list[Path]:
     """Copy the template to ``folder / name``.
 
     Args:
-        name: of the project and of its Python package.
-        folder: where the project's folder is made.
+        name: Of the project and of its Python package.
+        folder: Where the project's folder is made.
 
     Returns:
         The files that were written.
 
     Raises:
-        ValueError: if ``name`` cannot be imported as a package, is that of one already, or is none
+        ValueError: If ``name`` cannot be imported as a package, is that of one already, or is none
             that an override ``env=NAME`` can have.
-        FileExistsError: if there is something of that name already.
+        FileExistsError: If there is something of that name already.
     """
     plain = name.isascii() and name.isidentifier() and name.lower() not in NO_NAMES
     if not plain or keyword.iskeyword(name) or name == "configs":

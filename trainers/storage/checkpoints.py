@@ -55,9 +55,9 @@ class Checkpoints:
     """The checkpoints of one run.
 
     Args:
-        run_dir: the run's directory.
-        keep: how many checkpoints stay.
-        components: what to save, by name; anything with ``state_dict`` and ``load_state_dict``.
+        run_dir: The run's directory.
+        keep: How many checkpoints stay.
+        components: What to save, by name; anything with ``state_dict`` and ``load_state_dict``.
     """
 
     def __init__(self, run_dir: Path, keep: int, components: Mapping[str, Any]) -> None:
@@ -69,7 +69,7 @@ class Checkpoints:
         """Keep other processes from training here, until :meth:`release` or the process's end.
 
         Raises:
-            BlockingIOError: if another process does.
+            BlockingIOError: If another process does.
         """
         if self._lock is None:
             self._lock = lock(self._folder.parent)
@@ -84,7 +84,7 @@ class Checkpoints:
         """Write a checkpoint and drop those beyond ``keep``; a kill leaves the ones before.
 
         Raises:
-            OSError: if it cannot be written.
+            OSError: If it cannot be written.
         """
         destination = self._folder / f"{PREFIX}{env_steps:012d}"
         if destination.exists():  # the same step of the same run: the same state
@@ -137,12 +137,12 @@ def newest_whole(
     """Return the newest whole checkpoint of a run, its note, and the newer ones that are torn.
 
     Args:
-        run_dir: the run's directory.
+        run_dir: The run's directory.
         accept: Called with a checkpoint's note; raises a ValueError if it does not fit the run.
 
     Raises:
-        FileNotFoundError: if the run has none; the message says where it was looked for.
-        ValueError: if none is whole.
+        FileNotFoundError: If the run has none; the message says where it was looked for.
+        ValueError: If none is whole.
     """
     folder = run_dir / CHECKPOINTS
     torn: list[Path] = []
@@ -182,8 +182,8 @@ def load_components(run_dir: Path, components: Mapping[str, Any]) -> tuple[Path,
     """Restore some components from a run's newest whole checkpoint, for evaluation.
 
     Args:
-        run_dir: the run's directory.
-        components: what to restore, by the name that it was saved under.
+        run_dir: The run's directory.
+        components: What to restore, by the name that it was saved under.
 
     Returns:
         The checkpoint, and the environment steps at which it was made.

@@ -117,8 +117,8 @@ def lock(folder: Path) -> int:
     file ``.lock`` in it stands for it.
 
     Raises:
-        BlockingIOError: if another process has claimed it.
-        OSError: if the file system cannot lock.
+        BlockingIOError: If another process has claimed it.
+        OSError: If the file system cannot lock.
     """
     try:
         try:
@@ -135,8 +135,8 @@ def require_unclaimed(folder: Path) -> None:
     """Raise if another process has claimed a directory; one that is not there yet is free.
 
     Raises:
-        BlockingIOError: if another process has.
-        OSError: if the file system cannot lock.
+        BlockingIOError: If another process has.
+        OSError: If the file system cannot lock.
     """
     if folder.is_dir():
         os.close(lock(folder))
@@ -185,7 +185,7 @@ def check_seal(folder: Path) -> dict[str, Any]:
         The note that was sealed with the files.
 
     Raises:
-        ValueError: whatever is missing, truncated, changed or of another schema version, by name.
+        ValueError: Whatever is missing, truncated, changed or of another schema version, by name.
     """
     content = _read_content(folder / SEAL)
     for name, expected in content["files"].items():
@@ -204,7 +204,7 @@ def read_note(folder: Path) -> dict[str, Any]:
     """The note that was sealed with the files below ``folder``, without looking at the files.
 
     Raises:
-        ValueError: if ``seal.json`` is missing, changed or of another schema version.
+        ValueError: If ``seal.json`` is missing, changed or of another schema version.
     """
     return dict(_read_content(folder / SEAL)["note"])
 

@@ -11,7 +11,7 @@ def require_finite(tensors: Mapping[str, Tensor], what: str) -> None:
     """Stop a run before a number that is not finite is stored or saved.
 
     Raises:
-        FloatingPointError: naming the entries, and that everything before is safe on disk.
+        FloatingPointError: Naming the entries, and that everything before is safe on disk.
     """
     broken = [
         name

@@ -52,11 +52,11 @@ def require_same_run(saved: Mapping[str, Any], current: Mapping[str, Any]) -> No
     """Refuse to resume a run with a configuration that is not its own.
 
     Args:
-        saved: the configuration that the checkpoint was made with.
-        current: the configuration to go on with.
+        saved: The configuration that the checkpoint was made with.
+        current: The configuration to go on with.
 
     Raises:
-        ValueError: with one line for every key that changed and may not: ``key: old -> new``.
+        ValueError: With one line for every key that changed and may not: ``key: old -> new``.
     """
     changed = [
         f"  {key}: {old} -> {new}"

@@ -45,14 +45,14 @@ class TransitionLog:
     """The transitions of one run, numbered from 0 in the order in which they were stored.
 
     Args:
-        folder: where the files lie; opened if it has any, made with the first transition if not.
-        segment_bytes: size at which a new segment starts.
+        folder: Where the files lie; opened if it has any, made with the first transition if not.
+        segment_bytes: Size at which a new segment starts.
 
     Attributes:
-        count: number of whole records.
+        count: Number of whole records.
 
     Raises:
-        ValueError: if ``schema.json`` is of another version or unreadable.
+        ValueError: If ``schema.json`` is of another version or unreadable.
     """
 
     def __init__(self, folder: Path, segment_bytes: int = SEGMENT_BYTES) -> None:
@@ -68,8 +68,8 @@ class TransitionLog:
         """Write transitions ``[n]`` behind the last one.
 
         Raises:
-            ValueError: if they have other entries than the ones before.
-            OSError: if they cannot be written; what was there before stays whole.
+            ValueError: If they have other entries than the ones before.
+            OSError: If they cannot be written; what was there before stays whole.
         """
         if self._dtype is None:
             self._create(transitions)
@@ -212,7 +212,7 @@ class TransitionLog:
         """Raw records, from as many segments as it takes.
 
         Raises:
-            ValueError: if some of them are not there.
+            ValueError: If some of them are not there.
         """
         parts, at = [], first
         while at < last:

@@ -19,7 +19,7 @@ class Interrupted(Exception):
     """The run was stopped by a signal, after a checkpoint.
 
     Attributes:
-        signal: which one; a shell expects the exit status ``128 + signal``.
+        signal: Which one; a shell expects the exit status ``128 + signal``.
     """
 
     def __init__(self, number: signal.Signals) -> None:
@@ -31,11 +31,11 @@ class Interruption:
     """Remembers that somebody asked the run to stop.
 
     Args:
-        answer: what is done about it, said at the first signal.
+        answer: What is done about it, said at the first signal.
 
     Attributes:
-        when_asked: called when somebody asks, so that nothing waits any longer.
-        at_once: called before a second signal ends the process.
+        when_asked: Called when somebody asks, so that nothing waits any longer.
+        at_once: Called before a second signal ends the process.
     """
 
     def __init__(self, answer: str = "finishing this round and saving") -> None:

@@ -22,7 +22,8 @@ class FiniteAction(CommandLimit):
     stands behind the other limits and before disturbance and residual, so that the other limits
     have the last word on what it puts in.
 
-    policy -> env: reads and writes ``action_key``; reads ``base_action_key``.
+    policy -> env: reads and writes ``action_key``; reads "base_action" beside it, for
+    "controller" only.
     env -> policy: reads ``start_key``, writes ("safety", "finite"), and with ``truncate`` sets
     "truncated" and "done"; see :class:`SafetyLimit`.
 
@@ -34,8 +35,6 @@ class FiniteAction(CommandLimit):
         truncate: Whether the episode ends with such a step. A controller with memory may have
             remembered the NaN, and starts anew with the next episode. An environment that resets
             itself within a step cannot be told to, and goes on.
-        base_action_key: The controller's action, read for "controller" only. Default: "base_action"
-            at the level of ``action_key``.
         start_key: Observation ``[*batch, n_act]`` of what the robot holds at a reset, in the
             action's units; zeros count where it is not finite. None: zeros.
         action_key: The action ``[*batch, n_act]``; may be nested.
@@ -50,7 +49,6 @@ class FiniteAction(CommandLimit):
         self,
         replacement: str = "last",
         truncate: bool = True,
-        base_action_key: NestedKey | None = None,
         action_key: NestedKey = ACTION,
         start_key: NestedKey | None = None,
     ) -> None:
@@ -58,7 +56,7 @@ class FiniteAction(CommandLimit):
         expected = f"one of {', '.join(_REPLACEMENTS)}"
         check("replacement", replacement, expected, replacement in _REPLACEMENTS)
         self.replacement, self.truncate = replacement, bool(truncate)
-        self._base_key = base_action_key or sibling(action_key, BASE_ACTION)
+        self._base_key = sibling(action_key, BASE_ACTION)
 
     def limit(self, action: Tensor, measured: Tensor, limits: ActionLimits) -> Tensor:
         """Return the action as it is; :meth:`hold` replaces what is not finite."""

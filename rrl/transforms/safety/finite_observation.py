@@ -30,7 +30,7 @@ class FiniteObservation(SlotTransform):
     :class:`~rrl.FiniteAction` holds the command where the controller's action was lost.
     An environment that resets itself within a step cannot be told to end, and goes on.
 
-    env -> policy: reads and corrects ``in_keys`` and ``reward_key``; sets "truncated" and "done";
+    env -> policy: reads and corrects ``in_keys`` and the reward; sets "truncated" and "done";
     writes ("safety", "observation"), bool ``[*batch, 1]``: whether the step or the reset had such a
     number, or the step ends an episode whose reset had.
     policy -> env: gives NaN back, see above.
@@ -39,7 +39,6 @@ class FiniteObservation(SlotTransform):
         in_keys: Observations ``[*batch, ...]``; what is not of floating point is left alone.
         patience: How many steps and resets with such a number are borne without an episode that
             ends well between them; a sensor that is gone for good is not a matter of luck.
-        reward_key: The reward ``[*batch, 1]``.
 
     Raises:
         ValueError: If ``patience`` is no whole number of at least 0.
@@ -50,12 +49,10 @@ class FiniteObservation(SlotTransform):
     FLAG = (SAFETY, "observation")
     written = ("flag",)
 
-    def __init__(
-        self, in_keys: Sequence[NestedKey], patience: int = 10, reward_key: NestedKey = REWARD
-    ) -> None:
+    def __init__(self, in_keys: Sequence[NestedKey], patience: int = 10) -> None:
         super().__init__(in_keys=list(in_keys), out_keys=[self.FLAG])
         self.patience = check_whole("patience", patience, 0)
-        self._reward_key, self._in_a_row = reward_key, 0
+        self._in_a_row = 0
 
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
         values = self._floats(td, self.in_keys)
@@ -68,7 +65,7 @@ class FiniteObservation(SlotTransform):
         if self.resets_itself():  # what an episode that has started shows is a reset's
             goes_on = ~any_done(next_td)
             among = goes_on if mask is None else goes_on & mask
-        values = self._floats(next_td, (*self.in_keys, self._reward_key))
+        values = self._floats(next_td, (*self.in_keys, REWARD))
         flag = _any_of(self._replace(next_td, values, among), next_td) | self.recall("blind")
         if mask is not None:
             flag = flag & mask.unsqueeze(-1)
@@ -77,7 +74,7 @@ class FiniteObservation(SlotTransform):
                 truncate(next_td, flag)
         elif self._in_a_row and any_done(next_td).any():
             self._in_a_row = 0
-        values.pop(self._reward_key, None)
+        values.pop(REWARD, None)
         return self._memory(values, {}, flag, blind=torch.zeros_like(flag))
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:

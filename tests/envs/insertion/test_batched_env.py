@@ -196,7 +196,6 @@ def test_divergence_is_flagged_counted_and_finite(variant: str, num_threads: int
     assert after["diverged"].flatten().tolist() == [False, True, False]
     assert after["truncated"].flatten().tolist() == [False, True, False]
     assert after["done"].flatten().tolist() == [False, True, False]
-    assert env.num_diverged == 1
     for key, value in after.items(True, True):
         assert torch.isfinite(value.float()).all(), key
     for key in ("blocks", "reward", ("reward_terms", "distance")):
