@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
@@ -66,31 +65,29 @@ def export_policy(
     tools, folder = require_tools(), Path(folder)
     if folder.exists() and not (folder / CONTRACT).is_file():
         raise FileExistsError(f"{folder}: expected no folder or an earlier export, got another one")
-    env = environment.make(1)
-    stage = folder.with_name(f".{folder.name}.{os.getpid()}")
-    shutil.rmtree(stage, ignore_errors=True)
-    stage.mkdir(parents=True)
-    try:
+    with ExitStack() as stack:
+        env = stack.enter_context(closing(environment.make(1)))
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        beside = TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent)
+        stage = Path(stack.enter_context(beside)) / "new"
+        stage.mkdir()
         content = _write(env.base_env, environment, policy, stage)
         content |= {"versions": versions() | tools, **plain(about or {})}
         content["files"] = {name: fingerprint(stage / name) for name in (MODEL, ARCHIVE)}
         (stage / CONTRACT).write_text(sealed(content), encoding="utf-8")
-    except Exception:
-        shutil.rmtree(stage, ignore_errors=True)
-        raise
-    finally:
-        env.close()
-    _put_in_place(stage, folder)
+        _put_in_place(stage, folder)
     return content
 
 
 def _put_in_place(stage: Path, folder: Path) -> None:
-    """Give ``stage`` the name ``folder``; what had it before goes when the new one is there."""
-    before = stage.with_name(f"{stage.name}.before")
-    if folder.exists():
-        folder.rename(before)
-    stage.rename(folder)
-    shutil.rmtree(before, ignore_errors=True)
+    """Give ``stage`` the name ``folder``; what had it before stays beside ``stage``."""
+    before = folder.rename(stage.with_name("before")) if folder.exists() else None
+    try:
+        stage.rename(folder)
+    except BaseException:
+        if before:
+            before.rename(folder)
+        raise
 
 
 def _write(

@@ -261,6 +261,21 @@ def test_a_contract_has_every_number_of_a_part(make, more):
     assert named(make) == {"class": f"{make.func.__module__}.{make.func.__qualname__}", **more}
 
 
+def stopped(features):
+    raise KeyboardInterrupt
+
+
+def test_ctrl_c_leaves_an_earlier_export_and_nothing_beside_it(tmp_path):
+    folder = tmp_path / "export"
+    folder.mkdir()
+    (folder / "contract.json").write_text("an earlier export")
+    policy = TensorDictModule(stopped, KEYS[:1], ["action"])
+    with pytest.raises(KeyboardInterrupt):
+        export_policy(point(), policy, folder)
+    assert list(tmp_path.iterdir()) == [folder]
+    assert (folder / "contract.json").read_text() == "an earlier export"
+
+
 @pytest.mark.slow
 def test_an_earlier_export_is_replaced_and_nothing_else(tmp_path):
     folder = tmp_path / "export"
