@@ -23,13 +23,13 @@ from .tables import Table
 
 __all__ = ["MEASURES", "READING", "SHOWN", "Measure", "change_rows", "draw_changes"]
 
-SHOWN = "change against the first row, 95 % interval over runs and episodes"
+SHOWN = "difference to the first change, 95 % interval over runs and episodes"
 """What the figure's marks are."""
 READING = (
     "The controller and the first change are given as they are, the others as their difference to "
     "the first on the same seeds and the same episodes. The mean is over the tasks that the change "
-    "was made on, if all of them report success. The tasks are fixed: its interval speaks of runs "
-    "and episodes like these on these tasks."
+    "is made on, if all of them report success. The tasks are fixed: its interval speaks of runs "
+    "and episodes like these on these tasks. The interval of a single run is over its episodes."
 )
 """How the tables are to be read."""
 MEAN = "mean of the tasks"
@@ -81,7 +81,7 @@ def change_rows(experiment: Experiment, finding: Finding, measure: Measure) -> T
     for change in others:
         pairs = _pairs(experiment, finding, change)
         cells = [_cell([pairs[task]], measure) if task in pairs else "" for task in first]
-        rows.append([change, *cells, _cell(list(pairs.values()), measure) if pairs else ""])
+        rows.append([change, *cells, _cell(_all(experiment, pairs, change), measure)])
     return ["change", *first, MEAN], rows
 
 
@@ -89,20 +89,23 @@ def draw_changes(experiment: Experiment, finding: Finding) -> Figure:
     """Draw a panel for every task and one for their mean: what the changes do, by each measure."""
     base, *others = experiment.all_changes
     tasks = list(_pairs(experiment, finding, base))
-    size = 1.8 + 2.3 * (len(tasks) + 1), 1.6 + 0.34 * len(others)
+    size = 2.4 + 2.3 * (len(tasks) + 1), 1.6 + 0.34 * len(others)
     figure = Figure(figsize=size, layout="constrained")
     axes = list(figure.subplots(1, len(tasks) + 1, sharey=True, squeeze=False)[0])
     for axis, task in zip(axes, [*tasks, MEAN], strict=True):
         for row, change in enumerate(others):
             pairs = _pairs(experiment, finding, change)
-            shown = list(pairs.values()) if task == MEAN else [pairs[task]] if task in pairs else []
+            shown = [pairs[task]] if task in pairs else []
+            if task == MEAN:
+                shown = _all(experiment, pairs, change)
             for n, measure in enumerate(MEASURES):
                 _mark(axis, shown, measure, row + 0.22 * (n - 1))
         axis.axvline(0.0, color="#999999", lw=1)
         axis.set_title(task, fontsize=9)
-        axis.set_xlabel("change", fontsize=8)
+        axis.set_xlabel("difference in success [%], else in return", fontsize=8)
+        axis.tick_params(labelsize=8)
     axes[0].set_yticks(range(len(others)), others)
-    axes[0].invert_yaxis()
+    axes[0].set_ylim(len(others) - 0.5, -0.5)
     return figure
 
 
@@ -117,6 +120,12 @@ def _pairs(experiment: Experiment, finding: Finding, change: str) -> dict[str, P
         if with_change and base and _seeds(with_change) & _seeds(base):
             found[task] = with_change, base
     return found
+
+
+def _all(experiment: Experiment, pairs: dict[str, Pair], change: str) -> list[Pair]:
+    """All tasks that the change is made on; none while one of them is to come."""
+    planned = sum(arm_of(task, change) in experiment.all_arms for task in experiment.tasks)
+    return list(pairs.values()) if len(pairs) == planned else []
 
 
 def _seeds(outcome: Outcome) -> set[int]:
@@ -143,7 +152,7 @@ def _effect(pairs: Sequence[Pair], measure: Measure) -> tuple[float, Interval] |
 
 
 def _cell(pairs: Sequence[Pair], measure: Measure) -> str:
-    if (found := _effect(pairs, measure)) is None:
+    if not pairs or (found := _effect(pairs, measure)) is None:
         return ""
     return with_interval(*found, unit_of(pairs[0][0].measured_by), sign="+")
 

@@ -181,7 +181,8 @@ def _finish(figure: Figure, experiment: Experiment, finding: Finding) -> None:
         handles, labels = axis.get_legend_handles_labels()
         named = dict(zip(labels, handles, strict=True)) | named
     look: dict[str, Any] = {"loc": "outside lower center", "frameon": False, "fontsize": 9}
-    figure.legend(list(named.values()), list(named), ncols=min(3, len(named)), **look)
+    fitting = int(figure.get_figwidth() / (0.6 + 0.075 * max(map(len, named))))
+    figure.legend(list(named.values()), list(named), ncols=max(1, min(3, fitting)), **look)
     shown = {"front": front.SHOWN, "changes": changes.SHOWN}.get(experiment.figure, INTERVAL)
     figure.suptitle(f"{experiment.heading}\n{_seeds(finding)}, {shown}", fontsize=10)
 

@@ -97,12 +97,15 @@ def test_what_is_not_finished_is_left_empty(outcome):
     found = finding(
         outcome("push, the default", {0: 16}),
         outcome("push, without symmetry", {0: 12}),
+        outcome("push, without a price", {0: 12}),
         outcome("hammer, without a price", {0: 10}),  # what it is compared with is to come
     )
     header, cells = rows(found, experiment=experiment)
     assert header == ["change", "push", "mean of the tasks"]
-    assert cells["without a price"] == ["", ""]
+    assert cells["without a price"][0].startswith("-20.0 [")
+    assert cells["without a price"][1] == ""  # no mean of some of the tasks
     assert cells["without symmetry"][0].startswith("-20.0 [")
+    assert cells["without symmetry"][1] == cells["without symmetry"][0]  # made on this task alone
     assert rows(found, ON_THE_WAY, experiment)[1]["without symmetry"][0] == "-10.0 % (one run)"
 
 
