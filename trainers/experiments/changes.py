@@ -21,8 +21,6 @@ from .outcomes import Finding, Outcome
 from .spec import Experiment, arm_of
 from .tables import Table
 
-__all__ = ["MEASURES", "READING", "SHOWN", "Measure", "change_rows", "draw_changes"]
-
 SHOWN = "difference to the first change, 95 % interval over runs and episodes"
 """What the figure's marks are."""
 READING = (

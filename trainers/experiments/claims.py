@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from . import criteria
 from .outcomes import Finding, Findings
 
-__all__ = ["CLAIMS", "Claim", "Verdict", "judge"]
-
 
 @dataclass(frozen=True)
 class Claim:

@@ -15,19 +15,6 @@ LEVEL = 1 / 3
 """A residual is level if it loses at most this share of what the controller loses over a sweep."""
 FEW_STEPS = 1000
 
-__all__ = [
-    "ends_above",
-    "explores_wider",
-    "learns_faster",
-    "learns_under_bias",
-    "solves_aligned",
-    "solves_misaligned",
-    "stays_level",
-    "success_grows",
-    "transfers_quickly",
-    "withstands_noise",
-]
-
 
 def learns_faster(finding: Finding) -> tuple[bool, str]:
     """Mean return over all evaluations: the intervals over seeds are apart."""

@@ -35,8 +35,6 @@ from ..storage.transition_log import FOLDER as TRANSITIONS
 from .plan import replaced
 from .spread import POSITIONS, keeps_positions, spatial_variance
 
-__all__ = ["keep", "take", "train_again"]
-
 ENTRIES = tuple(p + e for e in ("success", "return") for p in ("", CONTROLLER, ACCEPTED))
 
 

@@ -22,8 +22,6 @@ from .spec import Experiment
 from .spread import AXES
 from .tables import interval_of, outcome_rows
 
-__all__ = ["draw"]
-
 TASK_COLUMNS = 3
 INTERVAL = "mean and 95 % confidence interval over seeds"
 

@@ -21,8 +21,6 @@ from .outcomes import Finding, Outcome
 from .spec import Experiment
 from .tables import Table, interval_of
 
-__all__ = ["SHOWN", "draw_front", "front_rows"]
-
 SHOWN = (
     "large: mean of the seeds, bar: 95 % interval of success; small: each seed; "
     "dotted: to the mean of the 99th percentiles"

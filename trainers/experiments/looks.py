@@ -5,8 +5,6 @@ from __future__ import annotations
 from ..metric_names import ACCEPTED, CONTROLLER, is_share
 from ..report.learning_curve import RESIDUAL_COLOR
 
-__all__ = ["COLORS", "MARKERS", "PANELS", "unit_of"]
-
 COLORS = (
     RESIDUAL_COLOR,
     *["#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#7a6a00", "#4d4d4d", "#8c2d04"],

@@ -15,8 +15,6 @@ from .outcomes import Finding, Outcome
 from .spec import Experiment
 from .spread import AXES, spatial_variance
 
-__all__ = ["COLUMNS", "write_numbers"]
-
 POLICIES = {"controller": CONTROLLER, "latest": "", "handed_over": ACCEPTED}
 """Column's beginning to that of an entry."""
 ENTRIES = {

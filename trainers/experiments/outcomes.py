@@ -18,8 +18,6 @@ from ..report.runs import Run
 from .plan import Point, run_directory
 from .spread import spatial_variance
 
-__all__ = ["SOLVED", "Counts", "Finding", "Findings", "Outcome", "gather"]
-
 SOLVED = 0.9
 """Success of the followed episodes that counts as having learned the task."""
 

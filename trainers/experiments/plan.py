@@ -31,8 +31,6 @@ from ..storage.same_run import SEEDS, measured_settings
 from .spec import Experiment, Overrides, Settings
 from .spread import POSITION, keeps_positions
 
-__all__ = ["Compose", "Point", "command", "plan_jobs", "plan_points", "replaced", "run_directory"]
-
 Compose = Callable[[Sequence[str]], dict[str, Any]]
 """From overrides of ``rrl train`` to the resolved configuration."""
 

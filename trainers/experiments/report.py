@@ -21,8 +21,6 @@ from .spec import Experiment, Settings
 from .standing import HEADER, READING, standing_row
 from .tables import effort, final_rows, followed_rows, outcome_rows, overall_iqm, steps_rows
 
-__all__ = ["Shown", "write_experiments", "write_results"]
-
 TITLE = "Residual reinforcement learning for robot control: the experiments again"
 STATISTICS = (
     "Every number is from frozen episodes without exploration, the same for every seed and arm; "

@@ -26,8 +26,6 @@ from .spec import Experiment, Settings, load_experiments, load_settings
 from .standing import HEADER, standing_row
 from .video import rescue_video, task_videos
 
-__all__ = ["reproduce"]
-
 
 def reproduce(
     names: Sequence[str],

@@ -12,17 +12,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from ..configuration.schema import PlainName, explain
 from ..settings import Positive
 
-__all__ = [
-    "Experiment",
-    "Overrides",
-    "Scale",
-    "Settings",
-    "Sweep",
-    "arm_of",
-    "load_experiments",
-    "load_settings",
-]
-
 Overrides = tuple[str, ...]
 FOLDER = "experiment"
 DEFAULTS = "reproduce.yaml"

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from ..report.runs import Run
 from ..storage.transition_log import FOLDER, TransitionLog
 
-__all__ = ["AXES", "POSITIONS", "keeps_positions", "spatial_variance"]
-
 POSITIONS = "positions.json"
 """Where a run that is kept without its log has the variance."""
 AXES = ("x", "y", "z")

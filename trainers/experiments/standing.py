@@ -16,8 +16,6 @@ from ..report.tables import gain, handed_over, success_cells
 from .looks import unit_of
 from .outcomes import Outcome
 
-__all__ = ["HEADER", "READING", "Standing", "standing", "standing_row"]
-
 HEADER = [
     "task",
     "measured by",

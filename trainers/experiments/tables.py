@@ -13,16 +13,6 @@ from .looks import unit_of
 from .outcomes import SOLVED, Finding, Outcome
 from .spec import Experiment
 
-__all__ = [
-    "effort",
-    "final_rows",
-    "followed_rows",
-    "interval_of",
-    "outcome_rows",
-    "overall_iqm",
-    "steps_rows",
-]
-
 Table = tuple[list[str], list[list[str]]]
 """Header and rows."""
 

@@ -11,8 +11,6 @@ from ..report.tables import most_rescued
 from ..storage.run_files import CHECKPOINTS
 from .outcomes import Finding, Findings
 
-__all__ = ["rescue_video", "task_videos"]
-
 Video = tuple[Path, str]
 """A video and what it shows."""
 
