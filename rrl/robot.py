@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -61,7 +64,9 @@ class Robot(ABC):
     """Four calls by which anybody's robot can be driven.
 
     No call may take longer than a fraction of the control period, but for :meth:`reset`. Each
-    raises :class:`RobotFault` if the robot does not do what it should.
+    raises :class:`RobotFault` if the robot does not do what it should. A robot that may move on its
+    own has to stop by itself a few periods after the last command: nothing else stops it when the
+    process that drives it is killed.
 
     Attributes:
         description: What the robot measures and takes.
@@ -91,3 +96,30 @@ class Robot(ABC):
 
     def close(self) -> None:  # noqa: B027 - most have nothing to close
         """Give back what the driver holds."""
+
+
+@contextmanager
+def stopping(robot: Robot) -> Iterator[None]:
+    """Tell a robot to stop when the block ends, however it ends.
+
+    SIGTERM and SIGHUP (a closed terminal) end a Python program without any clean-up. Within the
+    block they raise ``SystemExit``, in the main thread and where the program has no handler of its
+    own. SIGKILL and a loss of power are left to the robot's own timeout.
+    """
+    in_main = threading.current_thread() is threading.main_thread()
+    numbers = [signal.SIGTERM, signal.SIGHUP] if in_main else []
+    caught = [number for number in numbers if signal.getsignal(number) is signal.SIG_DFL]
+    for number in caught:
+        signal.signal(number, _exit)
+    try:
+        yield
+    finally:
+        try:
+            robot.stop()
+        finally:
+            for number in caught:
+                signal.signal(number, signal.SIG_DFL)
+
+
+def _exit(number: int, frame: object) -> None:
+    raise SystemExit(128 + number)

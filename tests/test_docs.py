@@ -38,7 +38,7 @@ DOCUMENTS = [ROOT / "README.md", ROOT / "examples/README.md", *sorted((ROOT / "d
 TUTORIAL = ROOT / "docs/tutorial.ipynb"
 
 
-RUN_ELSEWHERE = {("python", "robot.md")}
+RUN_ELSEWHERE = {("python", "robot.md"), ("yaml", "robot.md")}
 """tests/test_robot_page.py runs these: they need a plant, and one another."""
 
 

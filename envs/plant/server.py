@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import zmq
 
-from rrl.robot import Robot, RobotFault
+from rrl.robot import Robot, RobotFault, stopping
 
 from .faults import DELAY, Faults
 from .protocol import ADDRESS, pack, unpack
@@ -31,7 +31,8 @@ def serve(
 ) -> None:
     """Answer calls of :class:`~rrl.envs.plant.RemoteRobot` until ``running`` returns False.
 
-    However it ends, the robot is told to stop. Whatever its driver raises refuses the call.
+    However it ends, the robot is told to stop (:func:`~rrl.robot.stopping`). Whatever its driver
+    raises refuses the call.
 
     Args:
         robot: Whom the calls are for; it is closed at the end.
@@ -48,14 +49,12 @@ def serve(
         socket.linger = 0
         _bind(socket, address)
         desk = _Desk(robot, socket, faults)
-        try:
+        with stopping(robot):
             while running():
                 wait = min(tick(), desk.send_due())
                 if socket.poll(max(0, int(1e3 * wait))):
                     tick()  # what is measured is of the moment of the call
                     desk.answer(*socket.recv_multipart())
-        finally:
-            robot.stop()
 
 
 def _bind(socket: zmq.Socket[bytes], address: str) -> None:

@@ -1,5 +1,8 @@
 """Whatever is sent to a served robot, and however its driver fails, it goes on, and stops at the end."""
 
+import signal
+import subprocess
+import sys
 import threading
 from contextlib import contextmanager
 from functools import partial
@@ -12,7 +15,7 @@ from plants import an_address
 from rrl.envs.plant import RemoteRobot, serve
 from rrl.envs.plant.__main__ import main
 from rrl.envs.plant.protocol import pack
-from rrl.robot import Description, EntrySpec, Observation, Robot, RobotFault
+from rrl.robot import Description, EntrySpec, Observation, Robot, RobotFault, stopping
 
 
 class Recorder(Robot):
@@ -133,3 +136,75 @@ def test_the_command_says_what_is_wrong_with_its_arguments(arguments, message, c
     with pytest.raises(SystemExit):
         main([*arguments, "--priority", "0"])
     assert message in capsys.readouterr().err
+
+
+PROGRAM = """
+import signal
+import sys
+from rrl.envs.plant import serve
+from rrl.robot import Description, EntrySpec, Robot
+
+class Loud(Robot):
+    description = Description({"reward": EntrySpec((1,))}, (-1.0,), (1.0,), 0.05)
+    observe = command = reset = None
+
+    def stop(self):
+        print("stopped", flush=True)
+
+    def close(self):
+        print("closed", flush=True)
+
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # whatever the tests were started by
+print("ready", flush=True)
+serve(Loud(), sys.argv[1])
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_a_signal_that_ends_the_program_stops_the_robot_first(number):
+    command = [sys.executable, "-c", PROGRAM, an_address()]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as program:
+        assert program.stdout.readline() == b"ready\n"
+        while not listens(command[-1]):
+            pass
+        program.send_signal(number)
+        assert program.stdout.read() == b"stopped\nclosed\n"
+        program.stderr.read()
+        assert program.wait() != 0
+
+
+def listens(address):
+    with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
+        socket.linger = 0
+        socket.connect(address)
+        socket.send(pack({"number": 1, "call": "describe"}))
+        return socket.poll(200) > 0
+
+
+def test_a_program_that_has_decided_about_a_signal_keeps_its_handler():
+    def decided(*_):
+        """Does nothing."""
+
+    before = signal.signal(signal.SIGTERM, decided), signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    try:
+        with stopping(Recorder()):
+            assert signal.getsignal(signal.SIGTERM) is decided
+            assert signal.getsignal(signal.SIGHUP) is not signal.SIG_DFL
+        assert signal.getsignal(signal.SIGTERM) is decided
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_DFL
+    finally:
+        for number, handler in zip((signal.SIGTERM, signal.SIGHUP), before, strict=True):
+            signal.signal(number, handler)
+
+
+def test_a_robot_that_is_driven_from_a_thread_is_stopped_too():
+    robot = Recorder()
+
+    def drive():
+        with stopping(robot):
+            robot.command(None)
+
+    thread = threading.Thread(target=drive)
+    thread.start()
+    thread.join()
+    assert robot.calls == ["command", "stop"]
