@@ -1,6 +1,6 @@
 """Tune the hand controller instead of learning on top of it, with as many episodes of the robot.
 
-    python -W ignore -m benchmarks.tuning            # 60 and 200 episodes, ten seeds; pip install 'rrl[benchmark]'
+    python -W ignore -m benchmarks.tuning            # 60 and 200 episodes, ten seeds; pip install -e '.[benchmark]' in the clone
 
 Gains, bounds and a shift of the goal, each for x, y and z, by CMA-ES and by Bayesian optimization with a Gaussian process
 (Optuna's). Three quarters of the episodes go into the search, each candidate plays ``EACH``; the rest into the best few

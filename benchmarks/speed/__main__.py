@@ -6,7 +6,7 @@
                                                      # of `rrl train` as it comes, too; round k trains seed k
     python -m benchmarks.speed env=insertion-sim     # an override of `rrl train`, for all
 
-Peers come with ``pip install rrl[benchmark]``; one that is not there is left out. All get flushed denormal numbers, and
+Peers come with ``pip install -e '.[benchmark]'``; one that is not there is left out. All get flushed denormal numbers, and
 the machine's cores: a single run of a peer as threads, ours as the process that collects beside the updates. Absolute
 figures belong to the machine, ratios travel; on a machine that does other work too, read the column "processor": of all
 threads of the busiest process, which nobody else's work lengthens much.
@@ -105,7 +105,7 @@ def main() -> None:
         }
     if "sb3" not in contenders:
         sys.exit(
-            "the ratios are to Stable-Baselines3, which is not installed: pip install 'rrl[benchmark]'"
+            "the ratios are to Stable-Baselines3, which is not installed: pip install -e '.[benchmark]' in the clone"
         )
     console, rounds = Console(), {name: [] for name in contenders}
     for number in range(options.rounds):

@@ -1,4 +1,4 @@
-"""Other people's tasks, with the controllers that they ship or simple ones: needs `rrl[gallery]`.
+"""Other people's tasks, with the controllers that they ship or simple ones (extra `gallery`).
 
 Nothing in here is needed to use an environment: makers as anybody would write them, for
 :func:`rrl.envs.gymnasium_env`, and functions and objects for

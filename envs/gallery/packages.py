@@ -74,7 +74,8 @@ def _imported(name: str) -> Any:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
-            f"{name}: expected the gallery's packages ({error}): pip install 'rrl[gallery]'"
+            f"{name}: expected the gallery's packages ({error}): pip install -e '.[gallery]' in "
+            "the clone"
         ) from error
 
 

@@ -52,7 +52,7 @@ def arm(request) -> str:
         try:
             version(package)
         except PackageNotFoundError:
-            pytest.skip(f"{package} is not installed: pip install 'rrl[gallery]'")
+            pytest.skip(f"{package} is not installed: pip install -e '.[gallery]' in the clone")
     return request.param
 
 

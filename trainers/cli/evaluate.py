@@ -1,4 +1,4 @@
-"""``rrl evaluate`` and ``rrl render``: play frozen episodes with a run's newest checkpoint."""
+"""``rrl evaluate`` and ``rrl render``: play frozen episodes again, as a run ended or was left."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def show(group: Group, results: Results, run_dir: Path, console: Output) -> list
 
 
 def evaluate(config: assembly.Config, run_dir: Path, console: Output) -> None:
-    """Evaluate the newest checkpoint of a run, or of every seed, on every scenario."""
+    """Evaluate a run again, or every seed of one, on every scenario."""
     declared = declared_in(config)
     for path in seed_directories(run_dir) or [run_dir]:
         results = _evaluate(config, load(config, path, console), console)

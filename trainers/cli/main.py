@@ -25,11 +25,11 @@ USAGE = """usage: rrl COMMAND [key=value ...]
   rrl train [key=value ...]             train on the configuration, end with table, curve and video
   rrl train trainer.num_seeds=5 ...     the same for five seeds, each a run of its own
   rrl train resume=RUN [key=value ...]  continue a run, or the seeds of one
-  rrl evaluate run=RUN [key=value ...]  evaluate its newest checkpoint, into evaluation-TIME.json
+  rrl evaluate run=RUN [key=value ...]  evaluate it again, into evaluation-TIME.json
   rrl render run=RUN [key=value ...]    write a video of controller and residual on one episode
   rrl export run=RUN [key=value ...]    write what a robot needs into RUN/export: graph and contract
   rrl report RUN... [out=FILE]          write one interactive page about runs, side by side
-  rrl dashboard entity=USER [project=P] lay out the W&B workspace (extra rrl[dashboard])
+  rrl dashboard entity=USER [project=P] lay out the W&B workspace (extra: dashboard)
   rrl reproduce [NAME ...] [key=value]  make the paper's experiments again, all or those named;
                                         scale=quick|paper seeds=N launcher=local|ray workers=N
                                         out=FOLDER data=FOLDER

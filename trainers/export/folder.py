@@ -221,5 +221,6 @@ def require_tools() -> dict[str, str]:
         return {name: import_module(name).__version__ for name in TOOLS}
     except ImportError as error:
         raise ImportError(
-            f"expected {', '.join(TOOLS)}, got no {error.name}: pip install 'rrl[export]'"
+            f"expected {', '.join(TOOLS)}, got no {error.name}: "
+            "pip install -e '.[export]' in the clone"
         ) from error

@@ -65,7 +65,9 @@ class RayLauncher:
         try:
             import ray
         except ModuleNotFoundError as error:
-            raise ModuleNotFoundError("launcher=ray needs Ray: pip install 'rrl[ray]'") from error
+            raise ModuleNotFoundError(
+                "launcher=ray needs Ray: pip install -e '.[ray]' in the clone"
+            ) from error
         self._ray = ray
         if not ray.is_initialized():
             ray.init(log_to_driver=False, include_dashboard=False, configure_logging=False)

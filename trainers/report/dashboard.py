@@ -1,6 +1,6 @@
 """A Weights & Biases workspace with our panels: runs in groups, over environment steps.
 
-It needs the extra ``rrl[dashboard]``. Building it asks no server; only saving needs an account.
+It needs the extra ``dashboard``. Building it asks no server; only saving needs an account.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def build(entity: str, project: str = "rrl") -> Workspace:
         import wandb_workspaces.workspaces as ws
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
-            "the W&B dashboard needs an extra: pip install 'rrl[dashboard]'"
+            "the W&B dashboard needs an extra: pip install -e '.[dashboard]' in the clone"
         ) from error
 
     def section(title: str, panels: Sequence[Any], columns: int = 2, **settings: Any) -> Section:

@@ -275,7 +275,7 @@ def test_every_experiment_is_made_of_valid_runs(scale, source):
 @pytest.mark.parametrize("name", ["gallery", "ablation", "pixels"])
 def test_other_peoples_tasks_are_made_of_valid_runs(name):
     if name != "pixels":
-        pytest.importorskip("metaworld", reason='needs pip install "rrl[gallery]"')
+        pytest.importorskip("metaworld", reason="needs pip install -e '.[gallery]' in the clone")
     points = paper_points("quick", [name])
     assert len({point.key for point in points}) == len(points)
     for point in points:

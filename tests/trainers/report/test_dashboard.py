@@ -101,4 +101,4 @@ def test_what_is_missing_is_said(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "wandb_workspaces.workspaces", None)
     monkeypatch.setitem(sys.modules, "wandb_workspaces.reports.v2", None)
     assert main(["dashboard", "entity=somebody"]) == 2
-    assert "pip install 'rrl[dashboard]'" in capsys.readouterr().err
+    assert "pip install -e '.[dashboard]' in the clone" in capsys.readouterr().err
