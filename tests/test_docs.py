@@ -265,10 +265,19 @@ def test_links_lead_somewhere(document):
 @pytest.mark.slow
 def test_the_tutorial_runs(tmp_path):
     notebook = nbformat.read(TUTORIAL, as_version=4)
+    before = words_shown(notebook)
     NotebookClient(notebook, timeout=250, resources={"metadata": {"path": tmp_path}}).execute()
+    assert words_shown(notebook) == before
     printed = "".join(o.get("text", "") for cell in notebook.cells for o in cell.get("outputs", []))
     rescued, broken = map(int, re.search(r"rescued: (\d+)  broken: (\d+)", printed).groups())
     assert rescued > 20 > broken  # of 40 episodes
+
+
+def words_shown(notebook):
+    """What the outputs say apart from numbers, which another processor rounds otherwise."""
+    outputs = [o for cell in notebook.cells for o in cell.get("outputs", [])]
+    texts = [o.get("text") or o["data"].get("text/markdown", "") for o in outputs]
+    return set(re.findall(r"[a-z_]+", "".join(texts).lower()))
 
 
 def test_the_tutorial_shows_what_it_gives():
