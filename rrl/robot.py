@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -11,6 +9,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
+
+from rrl.signals import raised_as_exits
 
 
 class RobotFault(Exception):
@@ -102,24 +102,11 @@ class Robot(ABC):
 def stopping(robot: Robot) -> Iterator[None]:
     """Tell a robot to stop when the block ends, however it ends.
 
-    SIGTERM and SIGHUP (a closed terminal) end a Python program without any clean-up. Within the
-    block they raise ``SystemExit``, in the main thread and where the program has no handler of its
-    own. SIGKILL and a loss of power are left to the robot's own timeout.
+    Also by SIGTERM or a closed terminal (:func:`rrl.signals.raised_as_exits`). SIGKILL and a loss
+    of power are left to the robot's own timeout.
     """
-    in_main = threading.current_thread() is threading.main_thread()
-    numbers = [signal.SIGTERM, signal.SIGHUP] if in_main else []
-    caught = [number for number in numbers if signal.getsignal(number) is signal.SIG_DFL]
-    for number in caught:
-        signal.signal(number, _exit)
-    try:
-        yield
-    finally:
+    with raised_as_exits():
         try:
-            robot.stop()
+            yield
         finally:
-            for number in caught:
-                signal.signal(number, signal.SIG_DFL)
-
-
-def _exit(number: int, frame: object) -> None:
-    raise SystemExit(128 + number)
+            robot.stop()

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 
 import yaml
 
+from rrl.signals import raised_as_exits
+
 from ..console import DurableStream, Output, durable_output, from_here
 from ..errors import message
 from ..storage.run_files import CONFIG_FILE, LOG, REPORT
@@ -40,8 +42,8 @@ Packages and a folder configs/ of the working directory are found: env=mine read
 configs/env/mine.yaml, and a file there comes before ours of the same name. Set RRL_TRACEBACK=1 to
 see where an error comes from.
 
-Ctrl-C, SIGTERM and SIGHUP finish the round, save and print how to go on; a second one ends the
-process at once.
+Ctrl-C, SIGTERM and SIGHUP finish a training's round, save and print how to go on; a second one ends
+the process at once. A robot is told to stop, whatever the command.
 Exit status: 0 done, 2 an error (one message on stderr), 128 + n stopped by signal n.
 """
 
@@ -55,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit status.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
-    with durable_output():
+    with durable_output(), raised_as_exits():
         if not arguments or arguments[0] in ("-h", "--help", "help"):
             print(USAGE)
             return 0
