@@ -154,6 +154,8 @@ class Finding:
             count, asked = runs.get(point.name, 0), len(point.seeds)
             if count < asked:
                 few.setdefault(f"{count} of {asked} seeds", []).append(f'"{point.label}"')
+        if len(few) == 1 and len(next(iter(few.values()))) == len(self.planned) > 1:
+            return f"{next(iter(few))} of every arm"
         return "; ".join(f"{count} of {', '.join(labels)}" for count, labels in sorted(few.items()))
 
     def arm(self, name: str) -> list[Outcome]:

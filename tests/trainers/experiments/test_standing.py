@@ -107,7 +107,7 @@ def test_a_row_has_every_number_with_its_interval_and_the_packages(outcome):
 def test_it_is_said_which_seeds_are_missing_and_what_the_runs_took(outcome):
     found = finding(outcome(20), outcome(10, arm="hammer"))
     said = effort(found)
-    assert 'Finished so far: 2 of 3 seeds of "push", "hammer".' in said
+    assert "Finished so far: 2 of 3 seeds of every arm." in said
     assert "Wall time of all 4 runs together, one after the other: 0.1 h" in said
     nothing = replace(found, outcomes=found.outcomes[:1])
     assert 'so far: 0 of 3 seeds of "hammer"; 2 of 3 seeds of "push".' in effort(nothing)
