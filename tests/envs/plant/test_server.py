@@ -139,7 +139,6 @@ def test_the_command_says_what_is_wrong_with_its_arguments(arguments, message, c
 
 
 PROGRAM = """
-import signal
 import sys
 from rrl.envs.plant import serve
 from rrl.robot import Description, EntrySpec, Robot
@@ -154,7 +153,6 @@ class Loud(Robot):
     def close(self):
         print("closed", flush=True)
 
-signal.signal(signal.SIGHUP, signal.SIG_DFL)  # whatever the tests were started by
 print("ready", flush=True)
 serve(Loud(), sys.argv[1])
 """
@@ -163,14 +161,23 @@ serve(Loud(), sys.argv[1])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_a_signal_that_ends_the_program_stops_the_robot_first(number):
     command = [sys.executable, "-c", PROGRAM, an_address()]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as program:
-        assert program.stdout.readline() == b"ready\n"
-        while not listens(command[-1]):
-            pass
-        program.send_signal(number)
-        assert program.stdout.read() == b"stopped\nclosed\n"
-        program.stderr.read()
-        assert program.wait() != 0
+    quiet = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL, "preexec_fn": all_heard}
+    with subprocess.Popen(command, **quiet) as program:
+        try:
+            assert program.stdout.readline() == b"ready\n"
+            while not listens(command[-1]):
+                assert program.poll() is None
+            program.send_signal(number)
+            assert program.wait(60) != 0
+            assert program.stdout.read() == b"stopped\nclosed\n"
+        finally:
+            program.kill()
+
+
+def all_heard():
+    """Put back what a shell that starts the tests in the background, or ``nohup``, has ignored."""
+    for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
+        signal.signal(number, signal.SIG_DFL)
 
 
 def listens(address):

@@ -79,15 +79,19 @@ def test_a_signal_in_an_evaluation_stops_the_robot(run, number):
     calls = run.parent / "calls.txt"
     command = rrl("evaluate", f"run={run}", "trainer.evaluation.final_episodes=100")
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    with subprocess.Popen(command, cwd=run.parent, preexec_fn=heard, **quiet) as evaluation:
-        while not (calls.exists() and calls.read_text().endswith("command\ncommand\n")):
-            assert evaluation.poll() is None
-            time.sleep(0.01)
-        evaluation.send_signal(number)
-        assert evaluation.wait(60) == 128 + number
+    with subprocess.Popen(command, cwd=run.parent, preexec_fn=all_heard, **quiet) as evaluation:
+        try:
+            while not (calls.exists() and calls.read_text().endswith("command\ncommand\n")):
+                assert evaluation.poll() is None
+                time.sleep(0.01)
+            evaluation.send_signal(number)
+            assert evaluation.wait(60) == 128 + number
+        finally:
+            evaluation.kill()
     assert calls.read_text().endswith("stop\n")
 
 
-def heard():
-    """Hear what the tests may have been started without."""
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+def all_heard():
+    """Put back what a shell that starts the tests in the background, or ``nohup``, has ignored."""
+    for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
+        signal.signal(number, signal.SIG_DFL)
