@@ -89,5 +89,7 @@ def test_a_missing_package_is_named(monkeypatch) -> None:
     from rrl.envs.gallery import packages
 
     monkeypatch.setitem(__import__("sys").modules, "metaworld", None)
-    with pytest.raises(ModuleNotFoundError, match=r"gallery's packages .* pip install 'rrl\[gall"):
+    with pytest.raises(
+        ModuleNotFoundError, match=r"gallery's packages .* pip install -e '\.\[gallery\]'"
+    ):
         packages.metaworld()

@@ -179,5 +179,5 @@ def test_without_its_packages_the_extra_is_named(monkeypatch):
     for name in [name for name in sys.modules if name.startswith("rrl.envs.plant")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "zmq", None)
-    with pytest.raises(ModuleNotFoundError, match=r"pip install 'rrl\[realtime\]'"):
+    with pytest.raises(ModuleNotFoundError, match=r"pip install -e '\.\[realtime\]'"):
         importlib.import_module("rrl.envs.plant")

@@ -291,7 +291,7 @@ def test_an_earlier_export_is_replaced_and_nothing_else(tmp_path):
 
 def test_what_is_not_installed_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxscript", None)
-    with pytest.raises(ImportError, match=r"onnxscript.*pip install 'rrl\[export\]'"):
+    with pytest.raises(ImportError, match=r"onnxscript.*pip install -e '\.\[export\]'"):
         export_policy(point(), TensorDictModule(lambda: None, [], ["action"]), tmp_path / "export")
 
 
