@@ -166,6 +166,9 @@ class RandomTransform(Seeded, SlotTransform):
             global generator at every reset of all slots, so ``torch.manual_seed`` and
             ``ParallelEnv.set_seed`` govern it.
         stream: Name that tells this transform's numbers from those of others with the same seed.
+
+    Attributes:
+        generators: What a subclass draws from.
     """
 
     def __init__(self, *, seed: int | None, stream: str, **keys: Sequence[NestedKey]) -> None:
