@@ -20,6 +20,12 @@ from .rollout import run_episodes, zero_residual
 
 log = logging.getLogger(__name__)
 
+BY_RETURN = (
+    "%s: the environment writes no `success`; policies are compared by their return. To have them "
+    "compared by success, let its steps write `success` ([1], bool)"
+)
+"""What is logged of a scenario without success: its name."""
+
 
 class Evaluator:
     """Plays a policy and the controller alone on frozen episodes.
@@ -49,6 +55,7 @@ class Evaluator:
         self._envs: dict[tuple[str, int], ResumableEnv] = {}
         self._controller: dict[tuple[str, Stream, int], Episodes] = {}
         self._frozen: dict[str, bool] = {}
+        self._by_return: set[str] = set()  # scenarios of which it was said
         self._compared = False  # whether a wrong limit was named
 
     @property
@@ -69,8 +76,11 @@ class Evaluator:
         key = scenario, stream, episodes
         if key not in self._controller:
             alone = zero_residual(self._env(scenario, episodes))
-            self._controller[key] = self.play(alone, *key)
-            self._compare_limit(scenario, self._controller[key])
+            self._controller[key] = played = self.play(alone, *key)
+            self._compare_limit(scenario, played)
+            if played.success is None and scenario not in self._by_return:
+                self._by_return.add(scenario)
+                log.info(BY_RETURN, scenario)
         return self._controller[key]
 
     def play(

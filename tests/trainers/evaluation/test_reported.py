@@ -153,3 +153,29 @@ def test_a_metric_called_like_what_is_derived_is_refused(factory, name):
 
     with pytest.raises(ValueError, match=f"names without the endings .*got {name}"):
         replace(factory, base=lambda num_envs=1: Named([num_envs])).make(2)
+
+
+class Misspelt(PointMass):
+    """Writes its success under a name that nothing reads."""
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        spec = self.observation_spec
+        spec["is_success"] = spec["success"]
+        del spec["success"]
+        self.observation_spec = spec
+
+    def _observe(self):
+        out = super()._observe()
+        return out | {"is_success": out.pop("success")}
+
+
+@pytest.mark.parametrize(("env", "said"), [(Misspelt, 1), (PointMass, 0)])
+def test_an_environment_without_success_is_named_once(factory, caplog, env, said):
+    made = replace(factory, base=partial(env, []), batching="serial")
+    evaluator = Evaluator({"one": made}, EvaluationSettings())
+    with caplog.at_level("INFO", logger="rrl"):
+        for stream in (Stream.FOLLOWING, Stream.FINAL):
+            evaluator.compare(ZERO, "one", stream, 1)
+    evaluator.close()
+    assert caplog.text.count("one: the environment writes no `success`") == said
