@@ -1,8 +1,9 @@
 """How often the intervals cover what they say: ``python benchmarks/coverage.py``, a few minutes.
 
 Runs have success rates from a beta distribution with the given mean and standard deviation, and
-each plays 100 episodes. A cell is the share of simulated studies whose 95 % interval holds the
-mean, and the interval's mean width. A spread of 10 points around 99 % is impossible.
+all play the same 100 episodes. An episode's difficulty decides the given share of its outcomes, luck
+the others. A cell is the share of simulated studies whose 95 % interval holds the mean, and the
+interval's mean width. A spread of 10 points around 99 % is impossible.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ EPISODES = 100
 MEANS = (0.5, 0.7, 0.9, 0.95, 0.99)
 SPREADS = (0.0, 0.02, 0.05, 0.1)
 RUNS = (3, 5, 10)
+ALIKE = (0.0, 0.5, 1.0)
 
 
 def rates(mean: float, spread: float, shape: tuple[int, ...], rng: np.random.Generator):
@@ -27,13 +29,25 @@ def rates(mean: float, spread: float, shape: tuple[int, ...], rng: np.random.Gen
     return rng.beta(mean * size, (1 - mean) * size, shape)
 
 
+def outcomes(solved: np.ndarray, alike: float, rng: np.random.Generator) -> np.ndarray:
+    """Play the same episodes in every run.
+
+    Args:
+        solved: The rates of runs ``[S, 1]``.
+        alike: Share of outcomes that the episode's difficulty decides.
+        rng: Draws.
+    """
+    own, difficulty = rng.random((len(solved), EPISODES)), rng.random(EPISODES)
+    return solved > np.where(rng.random(own.shape) < alike, difficulty, own)
+
+
 def success_coverage(
-    mean: float, spread: float, runs: int, studies: int, seed: int = 0
+    mean: float, spread: float, runs: int, studies: int, seed: int = 0, alike: float = 0.0
 ) -> tuple[float, float]:
     """Return coverage and mean width of :func:`success_interval`."""
     rng = np.random.default_rng(seed)
-    counts = rng.binomial(EPISODES, rates(mean, spread, (studies, runs), rng))
-    found = np.array([success_interval(row.tolist(), EPISODES) for row in counts])
+    studied = rates(mean, spread, (studies, runs, 1), rng)
+    found = np.array([success_interval(outcomes(study, alike, rng)) for study in studied])
     return _coverage(found, mean)
 
 
@@ -48,8 +62,8 @@ def paired_coverage(
 ) -> tuple[float, float]:
     """Return coverage and mean width of :func:`paired_interval` of a gain in success.
 
-    Runs play the same episodes: an episode's difficulty is one uniform number for all, and half of
-    a policy's outcome depends on it. The gain is the mean of so many tasks.
+    An episode's difficulty is one uniform number for all, and half of a policy's outcomes depend on
+    it. The gain is the mean of so many tasks.
     """
     rng = np.random.default_rng(seed)
 
@@ -89,10 +103,15 @@ def main() -> None:
     studies = parser.parse_args().studies
     cells = [(m, s) for m in MEANS for s in SPREADS if s**2 < m * (1 - m)]
     print(f"coverage [%] (mean width [points]) of success_interval, {studies} studies a cell\n")
-    print("| mean [%] | spread [points] | " + " | ".join(f"{n} runs" for n in RUNS) + " |")
-    print("|---|---|" + "---|" * len(RUNS))
+    header = [f"{n} runs, {alike:.0%} alike" for n in RUNS for alike in ALIKE]
+    print("| mean [%] | spread [points] | " + " | ".join(header) + " |")
+    print("|---|---|" + "---|" * len(header))
     for mean, spread in cells:
-        found = [success_coverage(mean, spread, runs, studies) for runs in RUNS]
+        found = [
+            success_coverage(mean, spread, runs, studies, alike=alike)
+            for runs in RUNS
+            for alike in ALIKE
+        ]
         row = " | ".join(f"{100 * c:.1f} ({100 * w:.1f})" for c, w in found)
         print(f"| {100 * mean:g} | {100 * spread:g} | {row} |", flush=True)
     pairs = [(0.1, 0.8), (0.5, 0.9), (0.9, 0.95), (0.9, 0.99), (0.95, 0.95)]

@@ -137,9 +137,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def show(episodes: int, method: str, found: Sequence[Episodes]) -> None:
     """Print a row."""
-    solved = [int(_success(each).sum()) for each in found]
-    low, high = (100 * bound for bound in success_interval(solved, FINAL))
-    rate, each = 100 * np.mean(solved) / FINAL, ", ".join(map(str, solved))
+    solved = np.array([_success(each) for each in found])
+    low, high = (100 * bound for bound in success_interval(solved))
+    rate, each = 100 * solved.mean(), ", ".join(f"{count:.0f}" for count in solved.sum(axis=1))
     print(f"| {episodes} | {method} | {each} | {rate:.0f} [{low:.0f}, {high:.0f}] % |", flush=True)
 
 

@@ -35,14 +35,42 @@ def wilson(successes: int, trials: int) -> Interval:
     return float(interval.low), float(interval.high)
 
 
-def success_interval(successes: Sequence[int], episodes: int) -> Interval:
-    """Return an interval of the mean success rate of runs like these.
+def success_interval(solved: Values) -> Interval:
+    """Return an interval of the mean success rate of runs like these, on episodes like these.
 
     The successes of a run are beta-binomial: runs differ, and episodes of one run are alike. The
     interval holds the middle of the mean's posterior under weak priors, integrated over the
     spread between runs, so it stays honest for few runs and near 0 and 1 and never has zero width.
-    It does not count that all runs play the same frozen episodes: it speaks of episodes like these.
-    One run says nothing about others; its interval is Wilson's, and is of that policy alone.
+    All runs play the same frozen episodes. Where an episode is hard for all of them, runs say less
+    than as many episodes of their own would: they count as so many (Kish, 1965) that the rates of
+    episodes scatter as they do. One run says nothing about others; its interval is Wilson's, and
+    is of that policy alone.
+
+    Args:
+        solved: Whether each run solves each episode, ``[S, N]``.
+    """
+    table = np.atleast_2d(np.asarray(solved, dtype=float))
+    shared = _design_effect(table)
+    return rate_interval(table.sum(axis=1) / shared, table.shape[1] / shared)
+
+
+def _design_effect(table: NDArray[Any]) -> float:
+    """By how much episodes that runs share widen the variance: 1, if by nothing, to ``S``.
+
+    Half an episode that all solve, and half a one that none does, are added: of a table without a
+    failure nobody can say whose luck it was.
+    """
+    runs, rates = len(table), table.mean(axis=0)
+    rates, weights = np.append(rates, [0.0, 1.0]), np.append(np.ones(len(rates)), [0.5, 0.5])
+    mean = np.average(rates, weights=weights)
+    variance = (weights * (rates - mean) ** 2).sum() / (weights.sum() - 1)
+    return float(np.clip(runs * variance / (mean * (1 - mean)), 1, runs))
+
+
+def rate_interval(successes: Values, episodes: float) -> Interval:
+    """Return the interval of :func:`success_interval` if no episode is harder than another.
+
+    On the very episodes that all runs play it is one of runs like these.
 
     Args:
         successes: Solved episodes of each run, ``[S]``.
@@ -51,16 +79,16 @@ def success_interval(successes: Sequence[int], episodes: int) -> Interval:
     Raises:
         ValueError: If a count is not between 0 and ``episodes``, or there is none.
     """
-    counts = tuple(int(count) for count in successes)
-    if not counts or not all(0 <= count <= episodes for count in counts):
+    counts = tuple(sorted(float(count) for count in successes))
+    if not counts or not 0 <= counts[0] <= counts[-1] <= episodes:
         raise ValueError(f"successes: expected counts from 0 to {episodes}, got {counts}")
     if len(counts) == 1:
-        return wilson(counts[0], episodes)
-    return _beta_binomial(tuple(sorted(counts)), int(episodes))
+        return wilson(round(counts[0]), round(episodes))
+    return _beta_binomial(counts, float(episodes))
 
 
 @lru_cache(maxsize=4096)
-def _beta_binomial(counts: tuple[int, ...], episodes: int) -> Interval:
+def _beta_binomial(counts: tuple[float, ...], episodes: float) -> Interval:
     # Means are equally spaced in the arcsine's scale, where Jeffreys' prior is flat.
     mean = np.sin(np.pi / 2 * (np.arange(_MEANS) + 0.5) / _MEANS)[:, None] ** 2  # (M, 1)
     root = (np.arange(_SPREADS) + 0.5) / _SPREADS  # (R,), of the correlation within a run

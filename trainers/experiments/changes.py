@@ -164,7 +164,7 @@ def _level(outcome: Outcome, measure: Measure, prefix: str = "") -> str:
         return f"{values.mean() * unit:.1f} %" if entry == "success" else f"{values.mean():.2f}"
     interval = mean_interval(values.mean(axis=1))
     if entry == "success" and values.shape[1] > 1:
-        interval = success_interval(values.sum(axis=1).astype(int).tolist(), values.shape[1])
+        interval = success_interval(values)
     return with_interval(values.mean(), interval, unit)
 
 

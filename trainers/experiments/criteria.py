@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..evaluation.statistics import Interval, mean_interval, success_interval
+from ..evaluation.statistics import Interval, mean_interval, rate_interval
 from ..metric_names import CONTROLLER
 from ..report.tables import with_interval
 from .outcomes import SOLVED, Finding, Outcome
@@ -78,7 +78,7 @@ def success_grows(finding: Finding) -> tuple[bool, str]:
     curve = finding.outcomes[0].curve("success")
     first, last = curve.values[:, 0], curve.values[:, -1]
     episodes = int(finding.outcomes[0].point.config["trainer"]["evaluation"]["episodes"])
-    low, high = success_interval(np.rint(last * episodes).astype(int).tolist(), episodes)
+    low, high = rate_interval(np.rint(last * episodes), episodes)
     text = f"success at step {curve.steps[0]:.0f}: {first.mean():.0%}, "
     text += f"at {curve.steps[-1]:.0f}: {last.mean():.0%} "
     text += f"[{low:.0%}, {high:.0%}]"

@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..evaluation.statistics import success_interval
 from ..launch.job import Job
@@ -27,22 +28,20 @@ class Counts:
     """Successes of several runs.
 
     Attributes:
-        solved: By run ``[S]``.
-        episodes: Of each run.
+        solved: Whether each run solves each episode ``[S, N]``.
     """
 
-    solved: tuple[int, ...]
-    episodes: int
+    solved: NDArray[np.bool_]
 
     @property
     def rate(self) -> float:
         """Share of the episodes that are solved."""
-        return sum(self.solved) / (len(self.solved) * self.episodes)
+        return float(self.solved.mean())
 
     def __str__(self) -> str:
-        low, high = success_interval(self.solved, self.episodes)
-        each = "/".join(map(str, self.solved))
-        return f"{each} of {self.episodes} [{low:.0%}, {high:.0%}]"
+        low, high = success_interval(self.solved)
+        each = "/".join(map(str, self.solved.sum(axis=1)))
+        return f"{each} of {self.solved.shape[1]} [{low:.0%}, {high:.0%}]"
 
 
 @dataclass(frozen=True)
@@ -100,13 +99,14 @@ class Outcome:
         return self.knows("mcnemar_p", scenario)
 
     def counts(self, scenario: str | None = None, prefix: str = "") -> Counts:
-        """Return how many episodes each run solves, or with ``prefix`` what that prefix stands for.
+        """Return which episodes each run solves, or with ``prefix`` what that prefix stands for.
 
         The controller alone, where the episodes are paired, solves the same in every run.
         """
-        solved = np.rint(self.final(f"{prefix}success", scenario) * self.episodes)
-        solved = solved[:1] if prefix == CONTROLLER and self.paired(scenario) else solved
-        return Counts(tuple(map(int, solved)), self.episodes)
+        key = scenario or self.followed
+        solved = [run.results[key]["episodes"][f"{prefix}success"] for run in self.runs]
+        alike = prefix == CONTROLLER and self.paired(scenario)
+        return Counts(np.array(solved[:1] if alike else solved, dtype=bool))
 
     def variances(self) -> Floats:
         """Return the spatial variance of exploration by seed and axis ``[S, axes]``, [cm^2]."""

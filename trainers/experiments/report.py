@@ -25,8 +25,9 @@ TITLE = "Residual reinforcement learning for robot control: the experiments agai
 STATISTICS = (
     "Every number is from frozen episodes without exploration, the same for every seed and arm; "
     "the controller alone runs the same episodes. Means are over seeds with Student's t interval; "
-    "intervals of success count seeds, not episodes, as independent; IQM is the interquartile mean "
-    "with a stratified bootstrap, which of at most three seeds is their mean."
+    "intervals of final success are over runs and the episodes that all of them play, bands of "
+    "curves over runs on these episodes; IQM is the interquartile mean with a stratified bootstrap, "
+    "which of at most three seeds is their mean."
 )
 CLAIMS_HEADER = ["claim", "the paper", "verdict", "numbers", "criterion"]
 

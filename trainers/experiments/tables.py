@@ -126,8 +126,7 @@ def _final_row(outcome: Outcome) -> list[str]:
 def interval_of(outcome: Outcome, entry: str, scenario: str | None = None) -> tuple[float, float]:
     """Return the 95 % interval of a final entry's mean over seeds; of a rate within 0 and 1."""
     if entry == "success":
-        counts = outcome.counts(scenario)
-        return success_interval(counts.solved, counts.episodes)
+        return success_interval(outcome.counts(scenario).solved)
     return mean_interval(outcome.final(entry, scenario))
 
 

@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..evaluation.statistics import NO_INTERVAL, Interval, mean_interval, success_interval
+from ..evaluation.statistics import NO_INTERVAL, Interval, mean_interval, rate_interval
 
 T = TypeVar("T")
 
@@ -47,7 +47,7 @@ class Curve:
 
         Args:
             episodes: Of each run, where values are shares of them: see
-                :func:`~rrl.trainers.evaluation.statistics.success_interval`. None: Student's t.
+                :func:`~rrl.trainers.evaluation.statistics.rate_interval`. None: Student's t.
             bounds: Values that Student's interval does not leave.
 
         Returns:
@@ -120,4 +120,4 @@ def controllers(values: Mapping[str, Hashable]) -> dict[str, list[str]]:
 def _rate_interval(rates: Floats, episodes: int) -> Interval:
     if not np.isfinite(rates).all():
         return NO_INTERVAL
-    return success_interval(np.rint(rates * episodes).astype(int).tolist(), episodes)
+    return rate_interval(np.rint(rates * episodes), episodes)

@@ -19,8 +19,8 @@ from .runs import Group, Record, Run, group_runs
 OVERVIEW = ("run", "arm", "environment", "algorithm", "disturbance", "seeds", "steps", "directory")
 CAPTIONS = {
     "Learning": "Followed episodes during training, scenario {followed}. Thick lines are means "
-    "over runs, thin lines runs. Bands are 95 % intervals: of success over runs and episodes, "
-    "otherwise Student's t over runs.",
+    "over runs, thin lines runs. Bands are 95 % intervals over runs: of success on "
+    "these episodes, otherwise Student's t.",
     "Rescues and regressions": "Share of the followed episodes, paired with the controller alone.",
     "Acceptance": "The tests of candidates: pairs of episodes played, evidence (at 1 the policy is "
     "accepted), and what is left of the error that the run allows.",

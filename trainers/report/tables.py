@@ -109,10 +109,9 @@ def success_cells(records: Sequence[Record]) -> list[str]:
             "",
             "",
         ]
-    count = values.shape[1]
     return [
         with_interval(alone.mean(), wilson(int(alone.sum()), alone.size), 100.0),
-        with_interval(values.mean(), success_interval(values.sum(axis=1).tolist(), count), 100.0),
+        with_interval(values.mean(), success_interval(values), 100.0),
         with_interval(change, interval, 100.0, sign="+"),
         *(_mean_change(records, key) if frozen else "" for key in ("rescues", "regressions")),
     ]

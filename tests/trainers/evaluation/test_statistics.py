@@ -12,6 +12,7 @@ from rrl.trainers.evaluation.statistics import (
     mcnemar,
     mean_interval,
     paired_interval,
+    rate_interval,
     success_interval,
     unpaired_interval,
     wilson,
@@ -34,7 +35,8 @@ def test_one_run_says_nothing_about_others():
     assert np.isnan(mean_interval([0.5])).all()
     assert np.isnan(iqm_interval([0.5])).all()
     assert np.isnan(iqm_interval([0.5, 0.6], [0.5])).all()
-    assert success_interval([15], 20) == wilson(15, 20)
+    assert rate_interval([15], 20) == wilson(15, 20)
+    assert success_interval([[True] * 15 + [False] * 5]) == wilson(15, 20)
 
 
 def test_mcnemar_is_the_sign_test_of_changed_episodes():
@@ -45,26 +47,26 @@ def test_mcnemar_is_the_sign_test_of_changed_episodes():
 
 def test_a_success_rate_never_has_an_interval_of_zero_width():
     for runs in (1, 2, 3, 10):
-        low, high = success_interval([100] * runs, 100)
+        low, high = rate_interval([100] * runs, 100)
         assert low < 0.999
         assert high == 1.0
-        low, high = success_interval([0] * runs, 100)
+        low, high = rate_interval([0] * runs, 100)
         assert low == 0.0
         assert high > 0.001
-        low, high = success_interval([50] * runs, 100)
+        low, high = rate_interval([50] * runs, 100)
         assert 0.3 < low < 0.49
         assert 0.51 < high < 0.7
 
 
 def test_success_and_failure_are_alike():
-    low, high = success_interval([90, 95, 99], 100)
-    mirrored = success_interval([10, 5, 1], 100)
+    low, high = rate_interval([90, 95, 99], 100)
+    mirrored = rate_interval([10, 5, 1], 100)
     assert (1 - high, 1 - low) == pytest.approx(mirrored, abs=1e-6)
 
 
 def test_more_runs_narrow_the_interval_and_spread_widens_it():
     def width(*counts):
-        low, high = success_interval(counts, 100)
+        low, high = rate_interval(counts, 100)
         return high - low
 
     assert width(*[90] * 10) < width(*[90] * 5) < width(*[90] * 3)
@@ -72,7 +74,7 @@ def test_more_runs_narrow_the_interval_and_spread_widens_it():
 
 
 def test_many_alike_runs_are_about_as_good_as_their_episodes_together():
-    low, high = success_interval([70] * 50, 100)
+    low, high = rate_interval([70] * 50, 100)
     pooled = wilson(3500, 5000)
     assert low == pytest.approx(pooled[0], abs=0.004)
     assert high == pytest.approx(pooled[1], abs=0.004)
@@ -81,25 +83,44 @@ def test_many_alike_runs_are_about_as_good_as_their_episodes_together():
 def test_counts_that_cannot_be_are_refused():
     for counts in ([], [101], [-1]):
         with pytest.raises(ValueError, match="expected counts from 0 to 100"):
-            success_interval(counts, 100)
+            rate_interval(counts, 100)
+
+
+def test_where_luck_is_the_episodes_more_runs_say_no_more_than_one():
+    for solved in ([True] * 90 + [False] * 10, [True] * 100):
+        low, high = success_interval([solved] * 10)
+        once = wilson(sum(solved), 100)
+        assert low <= once[0] + 0.015
+        assert high >= once[1] - 0.015
+
+
+def test_where_luck_is_the_runs_own_episodes_count_each():
+    table = np.zeros((10, 100), dtype=bool)
+    for run in range(10):  # every episode is solved by nine of ten
+        table[run] = np.arange(100) % 10 != run
+    assert success_interval(table) == rate_interval([90] * 10, 100)
 
 
 # Coverage of 95 % is not to be had everywhere: benchmarks/coverage.py prints the whole table. Few
 # runs that are alike are covered too often, because nobody can know that they are.
 @pytest.mark.parametrize(
-    ("mean", "spread", "runs", "low", "high"),
+    ("mean", "spread", "runs", "alike", "low", "high"),
     [
-        (0.5, 0.1, 5, 0.90, 0.98),
-        (0.7, 0.05, 10, 0.92, 0.98),
-        (0.9, 0.02, 10, 0.93, 0.99),
-        (0.9, 0.1, 3, 0.90, 0.98),
-        (0.95, 0.05, 5, 0.90, 0.97),
-        (0.99, 0.02, 3, 0.90, 0.99),
-        (0.99, 0.0, 10, 0.93, 1.0),
+        (0.5, 0.1, 5, 0.0, 0.90, 0.98),
+        (0.7, 0.05, 10, 0.0, 0.92, 0.98),
+        (0.9, 0.02, 10, 0.0, 0.93, 0.99),
+        (0.9, 0.1, 3, 0.0, 0.90, 0.98),
+        (0.95, 0.05, 5, 0.0, 0.90, 0.97),
+        (0.99, 0.02, 3, 0.0, 0.90, 0.99),
+        (0.99, 0.0, 10, 0.0, 0.93, 1.0),
+        (0.9, 0.02, 10, 0.5, 0.92, 0.99),
+        (0.9, 0.02, 10, 1.0, 0.91, 0.99),
+        (0.5, 0.0, 5, 1.0, 0.93, 0.99),
+        (0.95, 0.0, 10, 0.8, 0.90, 1.0),
     ],
 )
-def test_success_interval_covers_about_as_often_as_it_says(mean, spread, runs, low, high):
-    covered, _ = coverage.success_coverage(mean, spread, runs, studies=400)
+def test_success_interval_covers_about_as_often_as_it_says(mean, spread, runs, alike, low, high):
+    covered, _ = coverage.success_coverage(mean, spread, runs, studies=400, alike=alike)
     assert low <= covered <= high
 
 

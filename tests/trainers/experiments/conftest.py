@@ -72,6 +72,13 @@ def outcome(tmp_path):
         point = Point("some", arm, value, "key", (), runs[0].config, SEEDS, swept="mu")
         return Outcome(point, runs)
 
+    def episodes(summary):
+        rates = {k: v for k, v in summary.items() if k in ("success", "controller_success")}
+        solved = {
+            k: [i < round(rate * EPISODES) for i in range(EPISODES)] for k, rate in rates.items()
+        }
+        return {"return": [0.0] * EPISODES, **solved}
+
     def write(arm, curves, scenarios, final, seed):
         path = tmp_path / f"{len(list(tmp_path.iterdir()))}"
         path.mkdir()
@@ -81,7 +88,7 @@ def outcome(tmp_path):
         numbers = {"rescues": 5, "regressions": 0, "mcnemar_p": 0.06, **numbers}
         numbers["return"] += 0.001 * seed
         results = {
-            name: {"summary": {**numbers, **entry}, "episodes": {"return": [0.0] * EPISODES}}
+            name: {"summary": {**numbers, **entry}, "episodes": episodes({**numbers, **entry})}
             for name, entry in scenarios.items()
         }
         (path / "results.json").write_text(json.dumps(results))

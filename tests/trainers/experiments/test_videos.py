@@ -14,6 +14,7 @@ def test_the_episode_that_is_named_is_taken(outcome):
     made = outcome()
     for run in made.runs:
         run.config["env"]["renderer"] = {"camera": "front"}
+        run.results["misaligned"]["episodes"] |= {"controller_success": [0], "success": [0]}
     run = made.runs[1]
     run.results["misaligned"]["episodes"] |= SOLVED
     videos = run.path / "videos"
