@@ -17,7 +17,8 @@ class RobotFault(Exception):
     """The robot does not do what it should: it is silent, frozen, or refuses.
 
     Whoever drives it stops it. Evaluations and collection in real time then try to go on with a
-    reset; a run that collects in turn ends.
+    reset; a run that collects in turn ends. An evaluated episode that ends so in each of three
+    attempts counts as failed.
     """
 
 

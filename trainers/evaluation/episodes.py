@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rrl.keys import METRICS, SAFETY
 
 from ..metric import Metric
-from ..metric_names import ABOVE, ACCEPTED, CONTROLLER, P99
+from ..metric_names import ABOVE, ACCEPTED, CONTROLLER, FAULTS, P99
 from ..storage.files import write_atomically
 from .statistics import fisher, mcnemar, wilson
 
@@ -32,6 +32,7 @@ class Episodes:
         limited: Numbers of steps in which each safety limit changed the action, by limit.
         declared: What the environment says of its metrics, by name: budget and limit, if any.
         cut: Whether one was cut off that the environment would have gone on with.
+        faults: Numbers of attempts at each that a fault of the robot ended; None of a simulation.
     """
 
     returns: NDArray[np.float64]
@@ -42,6 +43,7 @@ class Episodes:
     limited: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
     declared: Mapping[str, Metric] = field(default_factory=dict)
     cut: bool = False
+    faults: NDArray[np.int64] | None = None
 
     @property
     def keeps_budgets(self) -> bool:
@@ -54,13 +56,15 @@ class Episodes:
 
         Success comes with Wilson's 95 % interval, every metric with its 99th percentile and the
         shares of episodes above its budget and its limit; ``safety_<limit>`` is a share of the
-        steps.
+        steps. ``faults`` of a robot are counted over all episodes.
         """
         out = {
             "return": float(self.returns.mean()),
             "episode_length": float(self.lengths.mean()),
             "diverged": float(self.diverged.mean()),
         }
+        if self.faults is not None:
+            out[FAULTS] = float(self.faults.sum())
         if self.success is not None:
             low, high = wilson(int(self.success.sum()), len(self.success))
             rate = float(self.success.mean())
@@ -76,10 +80,12 @@ class Episodes:
         return out
 
     def values(self) -> dict[str, list[Any]]:
-        """Return one value an episode: success, return and every metric."""
+        """Return one value an episode: success, return, every metric, and a robot's faults."""
         out: dict[str, list[Any]] = {"return": self.returns.tolist()}
         if self.success is not None:
             out["success"] = self.success.tolist()
+        if self.faults is not None:
+            out[FAULTS] = self.faults.tolist()
         return out | {f"{METRICS}/{name}": v.tolist() for name, v in self.metrics.items()}
 
 

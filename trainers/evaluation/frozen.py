@@ -67,7 +67,7 @@ def _trace(env: EnvBase, policy: TensorDictModuleBase, seed: int, max_steps: int
                 (_checksums(td, len(running)), running.numpy())
                 for td, running in rollout(env, policy, seed, max_steps, FEW)
             ),
-        )
+        )[0]
 
 
 def _checksums(td: TensorDictBase, slots: int) -> dict[NestedKey, NDArray[np.float64]]:

@@ -22,7 +22,7 @@ from rrl.slot_random import seed_env
 
 from ..generators import isolated_generators
 from ..metric import Metric
-from ..requests import stand_still
+from ..requests import stand_still, stop_of
 from ..resumable_env import ResumableEnv
 from .episodes import Episodes
 
@@ -31,6 +31,8 @@ log = logging.getLogger(__name__)
 T = TypeVar("T")
 RETRY = 1.0
 """Seconds between attempts to play an episode on a robot that does not do what it should."""
+ATTEMPTS = 3
+"""How often an episode is played that faults of the robot end: by then it has failed."""
 
 
 class _CutShort(Exception):
@@ -98,7 +100,8 @@ def run_episodes(
     """Play episodes ``0 .. num_episodes - 1`` of the frozen set that starts at ``seed``.
 
     Episode ``i`` starts in a slot seeded ``seed + i`` whatever the batch size, and is the same for
-    every policy.
+    every policy. One that a fault of the robot ends in each of its :data:`ATTEMPTS` has failed: it
+    is no success, its return is not a number, and its quantities are those of the last attempt.
 
     Args:
         env: An environment with any batch size; its slots run episodes side by side.
@@ -113,13 +116,20 @@ def run_episodes(
     parts, cut = [], False
     for first in range(0, num_episodes, slots):
         kept = min(slots, num_episodes - first)
+        play = partial(rollout, env, policy, seed + first, max_steps, kept)
         with isolated_generators(seed + first):
-            _, *steps = whole(env, partial(rollout, env, policy, seed + first, max_steps, kept))
+            played, faults = whole(env, play)
+        steps = played[1:] or played  # a fault in the first step leaves the reset alone
         last, mask = steps[-1]
-        cut |= bool((mask & ~last["done"].reshape(slots))[:kept].any())
         running = np.stack([mask[:kept].numpy() for _, mask in steps])  # (T, kept)
-        parts.append(_reduced([_entries(td, kept) for td, _ in steps], running, metrics or {}))
-    columns = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+        part = _reduced([_entries(td, kept) for td, _ in steps], running, metrics or {})
+        if faults == ATTEMPTS:
+            part[REWARD] = np.full(kept, np.nan)
+            part |= {SUCCESS: np.zeros(kept)} if SUCCESS in part else {}
+        else:
+            cut |= bool((mask & ~last["done"].reshape(slots))[:kept].any())
+        parts.append(part | {"faults": np.full(kept, faults)})
+    columns = _joined(parts)
 
     def named(group: str) -> dict[str, np.ndarray]:
         found = [key for key in columns if key.startswith(f"{group}/")]
@@ -134,23 +144,49 @@ def run_episodes(
         {limit: count.astype(np.int64) for limit, count in named(SAFETY).items()},
         metrics or {},
         cut,
+        columns["faults"] if stop_of(env) is not None else None,
     )
 
 
-def whole(env: EnvBase, play: Callable[[], Iterable[T]]) -> list[T]:
+def whole(env: EnvBase, play: Callable[[], Iterable[T]]) -> tuple[list[T], int]:
     """Return what ``play`` gives; it is called again where a fault or a pause cuts it short.
+
+    A fault before the first thing that ``play`` gives is of a robot that is not there: it is waited
+    for. Later ones may be the policy's doing: after :data:`ATTEMPTS` of them that is it.
+
+    Returns:
+        What ``play`` gave, up to the last fault where that ended it, and how many faults it met.
 
     Raises:
         Exception: What :attr:`Requests.check` raises if the run is to end: it is not called again.
     """
+    faults = 0
     while True:
+        given: list[T] = []
         try:
-            return list(play())
+            for each in play():
+                given.append(each)
+            return given, faults
         except (RobotFault, _CutShort) as reason:
-            log.warning("an evaluation's episode is played again: %s", reason)
+            faults += bool(given) and isinstance(reason, RobotFault)
+            failed = faults == ATTEMPTS
+            what = "counts as failed" if failed else "is played again"
+            log.warning("an evaluation's episode %s: %s", what, reason)
         time.sleep(RETRY)
         if isinstance(env, ResumableEnv) and env.requests is not None:
             env.requests.check()
+        if failed:
+            return given, faults
+
+
+def _joined(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Join the columns; a quantity that a part lacks, as it was never measured, is not a number."""
+    columns = {}
+    for key in dict.fromkeys(key for part in parts for key in part):
+        lacking = np.nan if key.startswith(f"{METRICS}/") else 0.0
+        found = [part.get(key, np.full(len(part["length"]), lacking)) for part in parts]
+        columns[key] = np.concatenate(found)
+    return columns
 
 
 def _entries(td: TensorDictBase, kept: int) -> dict[str, np.ndarray]:

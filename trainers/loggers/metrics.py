@@ -23,11 +23,13 @@ EVALUATION = "eval"
 """Followed episodes during training: ``eval/<scenario>/success``, ``.../rescues``,
 ``.../controller_success``, ``.../metrics/<name>``, ``.../metrics/<name>_p99``, shares of episodes
 ``.../metrics/<name>_above_budget`` and ``.../<name>_above_limit``; of what the run would hand over
-``.../accepted_success``, ``.../accepted_env_steps`` (0: the controller)."""
+``.../accepted_success``, ``.../accepted_env_steps`` (0: the controller). Of a robot also
+``.../faults``, a number, with the same prefixes."""
 
 ACCEPTANCE = "acceptance"
 """The test of a candidate: ``acceptance/episodes`` (pairs; 0: it was none), ``.../evidence`` (1 or
-more accepts), ``.../accepted`` (0 or 1), ``.../alpha_left``."""
+more accepts), ``.../accepted`` (0 or 1), ``.../alpha_left``; of a robot ``.../faults`` and
+``.../controller_faults``."""
 
 FINAL = "final"
 """The same of the final episodes, of every scenario: ``final/<scenario>/success``."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from rrl.keys import METRICS
 
-from ..metric_names import ACCEPTED
+from ..metric_names import ACCEPTED, CONTROLLER, FAULTS
 from .panels import Declared
 from .runs import Record
 
@@ -29,6 +29,11 @@ UNPAIRED = (
     "called rescued or broken."
 )
 
+FAULTY = (
+    "Faults of the robot in the middle of an episode: {}. Such an episode is played again, twice "
+    "at most; one with a fault every time counts as failed, and its return is not a number."
+)
+
 
 def notes(results: Results, declared: Declared) -> list[str]:
     """Return how the tables are to be read, which budgets were kept, and what is handed over."""
@@ -36,6 +41,7 @@ def notes(results: Results, declared: Declared) -> list[str]:
     loose = [name for name, records in results.items() if not all(map(is_frozen, records))]
     if loose:
         found.append(UNPAIRED.format(", ".join(loose)))
+    found += _faults(results)
     found += [text for name, how in declared.items() for text in _budget(results, name, how)]
     records = next(iter(results.values()), ())
     steps = [r["summary"].get(f"{ACCEPTED}env_steps") for r in records]
@@ -43,6 +49,21 @@ def notes(results: Results, declared: Declared) -> list[str]:
     if tested:
         found.append(_what_is_handed_over(tested))
     return found
+
+
+def _faults(results: Results) -> Iterator[str]:
+    """Say how many faults of a robot the final episodes met, by policy, if they met any."""
+    named = {"controller": CONTROLLER, "residual": "", "handed over": ACCEPTED}
+    found = []
+    for scenario, records in results.items():
+        counts = {
+            name: sum(int(record["summary"].get(prefix + FAULTS, 0)) for record in records)
+            for name, prefix in named.items()
+        }
+        if any(counts.values()):
+            found.append(f"{scenario} {', '.join(f'{n} {count}' for n, count in counts.items())}")
+    if found:
+        yield FAULTY.format("; ".join(found))
 
 
 def _budget(results: Results, name: str, how: Mapping[str, Any]) -> Iterator[str]:

@@ -20,7 +20,7 @@ from ..evaluation.statistics import (
     unpaired_interval,
     wilson,
 )
-from ..metric_names import ACCEPTED, CONTROLLER, is_share
+from ..metric_names import ACCEPTED, CONTROLLER, FAULTS, is_share
 from .curves import Floats
 from .markdown import markdown_table
 from .notes import Results, is_frozen, notes
@@ -44,6 +44,7 @@ BASIC = {
     "return": "return",
     "episode_length": "control steps",
     "diverged": "physics diverged [share]",
+    FAULTS: "robot faults",
 }
 
 
@@ -186,7 +187,7 @@ def quantity_rows(
 
 def _mean(summaries: Sequence[Mapping[str, Any]], key: str) -> str:
     """The mean of an entry over runs; of a share in per cent."""
-    mean = np.mean([summary[key] for summary in summaries])
+    mean = np.mean([summary.get(key, math.nan) for summary in summaries])
     return f"{100 * mean:.1f}" if is_share(key) else f"{mean:.2f}"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -15,6 +16,7 @@ from ..evaluation.episodes import Comparison, Episodes
 from ..evaluation.evaluator import Evaluator
 from ..evaluation.sequential import ErrorBudget, NotWorseTest
 from ..loggers import metrics
+from ..metric_names import CONTROLLER, FAULTS
 from ..seeds import Stream, first_seed
 from ..settings import TrainerSettings
 from .run_policy import RunPolicy
@@ -89,9 +91,9 @@ class Acceptance:
         self._notice(*comparison.controller.returns, *comparison.residual.returns)
         unit = self._unit(comparison.controller)
         largest = max(unit, self._largest_loss(comparison.controller))
-        played, test = 0, self._budget.test(self.settings.margin * unit / largest)
+        played, faults, test = 0, {}, self._budget.test(self.settings.margin * unit / largest)
         if self._is_candidate(comparison):
-            played = self._test(test, largest)
+            played, faults = self._test(test, largest)
             self._budget.settle(test)
             if test.accepted:
                 self.handed_over.take(env_steps)
@@ -102,7 +104,8 @@ class Acceptance:
             "accepted": float(test.accepted),
             "alpha_left": self._budget.left,
         }
-        named = {metrics.name(metrics.ACCEPTANCE, key): value for key, value in values.items()}
+        found = (values | faults).items()
+        named = {metrics.name(metrics.ACCEPTANCE, key): value for key, value in found}
         now, since = self._now(comparison), self.handed_over.env_steps
         return replace(comparison, accepted=now, accepted_env_steps=since), named
 
@@ -137,12 +140,16 @@ class Acceptance:
             )
         return self._followed
 
-    def _test(self, test: NotWorseTest, largest: float) -> int:
-        """Play until the test is decided or the episodes are used up; return how many pairs.
+    def _test(self, test: NotWorseTest, largest: float) -> tuple[int, dict[str, float]]:
+        """Play until the test is decided or the episodes are used up.
 
         Differences count up to ``largest``, which is 1 to the test.
+
+        Returns:
+            How many pairs, and the faults of a robot meanwhile, by whose they are.
         """
         scenario, played = self.evaluator.followed, 0
+        faults: Counter[str] = Counter()
         at_a_time = self.evaluator.side_by_side(scenario, SIDE_BY_SIDE)
         while not test.decided and played < self.settings.episodes:
             count = min(at_a_time, self.settings.episodes - played)
@@ -150,8 +157,11 @@ class Acceptance:
             policy, alone = self.evaluator.pairs(self.agent.policy, scenario, seed, count)
             self._played, played = self._played + count, played + count
             self._notice(*policy.returns)
+            for prefix, arm in (("", policy), (CONTROLLER, alone)):
+                if arm.faults is not None:
+                    faults[prefix + FAULTS] += float(arm.faults.sum())
             test.add((_outcomes(policy) - _outcomes(alone)) / largest)
-        return played
+        return played, dict(faults)
 
     def _notice(self, *returns: float) -> None:
         finite = [float(value) for value in returns if np.isfinite(value)]

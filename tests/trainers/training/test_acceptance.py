@@ -13,7 +13,9 @@ import torch
 
 from rrl.algorithms import TD3, mlp
 from rrl.algorithms.networks import last_layer
+from rrl.robot import RobotFault
 from rrl.trainers import AcceptanceSettings, EvaluationSettings
+from rrl.trainers.evaluation import rollout
 from rrl.trainers.evaluation.episodes import write_results
 from rrl.trainers.loggers import read_metrics
 from rrl.trainers.metric import Metric
@@ -145,6 +147,42 @@ def test_a_policy_that_promises_more_and_is_worse_is_not_taken(make, factory):
         assert values["acceptance/accepted"] == 0
         assert values["acceptance/alpha_left"] < DEFAULT.alpha
         assert (action(made.policy, made) == 0).all()
+
+
+def test_a_policy_that_the_robot_answers_with_faults_is_not_taken(make, factory, monkeypatch):
+    """Without them it would solve every episode, as it does the followed ones."""
+    monkeypatch.setattr(rollout, "RETRY", 0.0)
+
+    class Protected(PointMass):
+        """An arm that stops by itself where it is pushed, but on the followed episodes."""
+
+        def _set_seed(self, seed):
+            super()._set_seed(seed)
+            self._bears_it = seed is not None and seed >> 29 == Stream.FOLLOWING
+
+        def _step(self, tensordict):
+            if tensordict["action"][0, 0] > 0.55 and not self._bears_it:
+                raise RobotFault("protective stop")
+            return super()._step(tensordict)
+
+        def stop(self):
+            pass
+
+    environment = replace(
+        factory,
+        base=lambda num_envs=1: Protected([num_envs], drift=-0.02),
+        batching="serial",
+        disturbances=[],
+    )
+    with make(environment=environment) as made:
+        say(made, 0.4)
+        found, values = consider(made, 100)
+        assert found.residual.success.all()
+        assert found.controller.success.mean() > 0.8
+        assert values["acceptance/episodes"] > 0
+        assert values["acceptance/faults"] > 0
+        assert values["acceptance/controller_faults"] == 0
+        assert values["acceptance/accepted"] == 0
 
 
 def test_of_two_that_solve_as_much_the_one_within_its_budgets_is_better(make):
