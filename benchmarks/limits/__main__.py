@@ -18,6 +18,7 @@ import itertools
 import sys
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from .commands import BATCH, SCRIPTED
@@ -78,8 +79,8 @@ def table(record: Record) -> None:
             worsts = joined.get((variant, case, name), {}).values()
             episodes += sum(worst.episodes for worst in worsts)
             for value in promised_by(name):
-                largest = max((worst.values[value] for worst in worsts), default=None)
-                cells.append("" if largest is None else f"{largest:.2f}")
+                largest = [worst.values[value] for worst in worsts]
+                cells.append(f"{np.max(largest):.2f}" if largest else "")
         print(f"| {variant} | {case} | {episodes} | {' | '.join(cells)} |")
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 from torchrl.envs import EnvBase
@@ -23,7 +24,7 @@ GENERATIONS = 20
 
 @dataclass
 class Worst:
-    """The largest values measured, and in how many episodes."""
+    """The largest values measured, and in how many episodes; NaN once something is unknown."""
 
     episodes: int = 0
     values: dict[str, float] = field(default_factory=dict)
@@ -37,7 +38,7 @@ class Worst:
         """Take in what other episodes came to."""
         self.episodes += other.episodes
         for name, value in other.values.items():
-            self.values[name] = max(self.values.get(name, -torch.inf), value)
+            self.values[name] = float(np.maximum(self.values.get(name, -np.inf), value))
 
 
 Found = dict[str, Worst]
@@ -102,11 +103,11 @@ def promised_by(name: str) -> list[str]:
 
 
 def excesses(variant: str, name: str, found: Found) -> list[str]:
-    """Return what is above a limit that ``name`` promises, in words."""
+    """Return what is not within a limit that ``name`` promises, in words; NaN is not."""
     limits = bounds(variant)
     return [
         f"{variant}, {name}, {kind}: {value} {worst.values[value]:.4g} > {limits[value]:.4g}"
         for kind, worst in found.items()
         for value in promised_by(name)
-        if worst.values[value] > limits[value]
+        if not worst.values[value] <= limits[value]
     ]

@@ -53,7 +53,13 @@ def configuration(variant: str, safety: str, case: Case) -> dict[str, Any]:
 
 
 def make_env(config: dict[str, Any], case: Case, seed: int) -> EnvBase:
-    """Return a batch of environments with nothing but the limits, whose sensors are late."""
+    """Return a batch of environments with nothing but the limits, whose sensors are late.
+
+    Args:
+        config: From :func:`configuration`.
+        case: What is wrong with the robot.
+        seed: Of a round; no two rounds have a slot in common.
+    """
     known = make_config(config["env"]["base"]["variant"])
     names = ("joint_stiffness", "cartesian_stiffness")
     changed = {n: tuple(case.stiffness * k for k in getattr(known, n)) for n in names}
@@ -62,13 +68,17 @@ def make_env(config: dict[str, Any], case: Case, seed: int) -> EnvBase:
     late = partial(ObservationLatency, [POSITION], steps=case.delay, out_keys=[LATE])
     watched = partial(ControlNoise, sigma=0.0)  # records what is executed
     factory = replace(factory, sensing=(), disturbances=(watched,), safety=(late, *factory.safety))
-    return factory.with_overrides(**changed, seed=seed, num_threads=1).make(BATCH)
+    return factory.with_overrides(**changed, seed=seed * BATCH, num_threads=1).make(BATCH)
 
 
 def play(env: EnvBase, commands: Tensor, safety: dict[str, Any]) -> dict[str, Tensor]:
-    """Play commands ``[B, T, 3]`` and return the largest values, ``[B]`` each."""
+    """Play commands ``[B, T, 3]`` and return the largest values, ``[B]`` each.
+
+    They are NaN where physics diverged: nobody knows what it would have come to.
+    """
     low, high = (torch.tensor(safety["workspace"][side]) for side in ("low", "high"))
     td, last, worst = env.reset(), torch.zeros(len(commands), 3), dict[str, Tensor]()
+    known = torch.ones(len(commands), dtype=torch.bool)
     for step in range(commands.shape[1]):
         td = step_mdp(env.step(td.set("action", commands[:, step])))
         position, executed = td[POSITION], td["executed_action"]
@@ -79,5 +89,5 @@ def play(env: EnvBase, commands: Tensor, safety: dict[str, Any]) -> dict[str, Te
             CHANGE: (executed - last).abs().amax(-1),
         }
         worst = {name: torch.maximum(worst.get(name, value), value) for name, value in now.items()}
-        last = executed
-    return worst
+        last, known = executed, known & ~td["diverged"].squeeze(-1)
+    return {name: value.where(known, torch.nan) for name, value in worst.items()}
