@@ -24,6 +24,17 @@ STAKE = 0.25
 """Share of the error that is left, for the next candidate."""
 
 
+def margin_unit(returns: Sequence[float] | NDArray[np.float64]) -> float:
+    """Return what a margin in returns is a share of: the range of the controller's.
+
+    Where it always gets the same return, that return's size stands in; then 1. Returns that are not
+    finite say nothing.
+    """
+    values = np.asarray(returns, dtype=float).ravel()
+    values = values[np.isfinite(values)]
+    return float(np.ptp(values)) or float(np.abs(values).max()) or 1.0 if len(values) else 1.0
+
+
 class NotWorseTest:
     """Tests whether a policy is worse than the controller by ``margin`` or more.
 

@@ -14,7 +14,7 @@ from rrl.algorithms import Agent
 
 from ..evaluation.episodes import Comparison, Episodes
 from ..evaluation.evaluator import Evaluator
-from ..evaluation.sequential import ErrorBudget, NotWorseTest
+from ..evaluation.sequential import ErrorBudget, NotWorseTest, margin_unit
 from ..loggers import metrics
 from ..metric_names import CONTROLLER, FAULTS
 from ..seeds import Stream, first_seed
@@ -171,15 +171,13 @@ class Acceptance:
         """From the controller's best followed episode down to the worst return of the run."""
         if controller.success is not None:
             return 1.0
-        return float(controller.returns.max()) - self._least_return
+        finite = controller.returns[np.isfinite(controller.returns)]
+        return float(finite.max(initial=self._least_return)) - self._least_return
 
     @staticmethod
     def _unit(controller: Episodes) -> float:
         """What the margin is a share of: a success, or the range of the controller's returns."""
-        if controller.success is not None:
-            return 1.0
-        largest = float(np.abs(controller.returns).max())
-        return float(np.ptp(controller.returns)) or largest or 1.0
+        return margin_unit(controller.returns) if controller.success is None else 1.0
 
 
 def _outcomes(episodes: Episodes) -> NDArray[np.float64]:
@@ -188,6 +186,7 @@ def _outcomes(episodes: Episodes) -> NDArray[np.float64]:
 
 
 def _score(episodes: Episodes) -> tuple[float, bool, float]:
-    """Success rate, then whether budgets are kept, then return."""
+    """Success rate, then whether budgets are kept, then return; no number is the worst."""
     rate = 0.0 if episodes.success is None else float(episodes.success.mean())
-    return rate, episodes.keeps_budgets, float(episodes.returns.mean())
+    mean = float(episodes.returns.mean())
+    return rate, episodes.keeps_budgets, mean if np.isfinite(mean) else -np.inf

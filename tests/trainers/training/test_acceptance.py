@@ -258,6 +258,20 @@ def test_returns_stand_in_for_success_and_independent_samples_for_pairs(make, fa
         assert (found.residual.success is None) == (kind is Silent)
 
 
+def test_a_return_of_the_controller_that_is_no_number_does_not_end_the_tests(make, factory):
+    environment = replace(factory, base=lambda num_envs=1: Silent([num_envs]))
+    with make(environment=environment) as trainer:
+        say(trainer, AGAINST)
+        found = trainer.evaluator.compare(trainer.agent.policy, "drift", Stream.FOLLOWING, 20)
+        found.controller.returns[3] = np.nan
+        _, values = trainer.acceptance.consider(found, 100)
+        assert values["acceptance/episodes"] > 0
+        assert values["acceptance/accepted"] == 1
+        found.residual.returns[5] = np.nan  # it promises nothing that can be told
+        _, values = trainer.acceptance.consider(found, 200)
+        assert values["acceptance/episodes"] == 0
+
+
 class Treacherous(Silent):
     """In one test episode of eight it is dear to be where the drift keeps the controller away."""
 
