@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..evaluation.sequential import margin_unit
 from ..evaluation.statistics import Interval
 from ..loggers import metrics
 from ..metric_names import ACCEPTED, CONTROLLER
@@ -38,16 +39,21 @@ READING = (
     "of the final gain is above zero. Unknown: one of these returns is not a number."
 )
 """How the rows are to be read."""
+ROUNDING = 1e-9
+"""Share of the margin by which a difference of two means may be off."""
 
 
 @dataclass(frozen=True)
 class Standing:
     """What the runs of an arm hand over, against their controller; in success rate or return.
 
+    What is exactly the margin below the controller is not worse.
+
     Attributes:
         entry: ``success`` where the environment reports it, else ``return``.
         margin: How much less than the controller's still counts as not worse: the share
-            ``trainer.acceptance.margin`` of success, or of the range of the controller's returns.
+            ``trainer.acceptance.margin`` of success, or of the range of the controller's returns;
+            see :func:`~rrl.trainers.evaluation.sequential.margin_unit`.
         gain: Of the final evaluation, mean of the runs.
         interval: Its 95 % interval.
         least: The least gain of any run at any evaluation during training.
@@ -64,7 +70,7 @@ class Standing:
         """``better``, ``not worse``, ``worse``, or ``unknown`` where a return is not a number."""
         if math.isnan(self.least + self.gain + self.margin):
             return "unknown"
-        if min(self.least, self.gain) < -self.margin:
+        if min(self.least, self.gain) < -self.margin * (1 + ROUNDING):
             return "worse"
         return "better" if self.interval[0] > 0 else "not worse"
 
@@ -79,7 +85,7 @@ def standing(outcome: Outcome) -> Standing:
     records = [handed_over(run.results[outcome.followed]) for run in outcome.runs]
     share = float(outcome.point.config["trainer"]["acceptance"]["margin"])
     alone = [record["episodes"][CONTROLLER + entry] for record in records]
-    scale = 1.0 if entry == "success" else float(np.ptp(np.array(alone, dtype=float)))
+    scale = 1.0 if entry == "success" else margin_unit(np.array(alone, dtype=float))
     least = float(np.min([change for run in outcome.runs for change in _changes(run, entry)]))
     return Standing(entry, share * scale, *gain(records), least)
 

@@ -11,7 +11,7 @@ import yaml
 from experiment_project import finding, write
 from rrl.trainers.experiments.outcomes import Outcome
 from rrl.trainers.experiments.plan import Point
-from rrl.trainers.experiments.standing import HEADER, standing, standing_row
+from rrl.trainers.experiments.standing import HEADER, Standing, standing, standing_row
 from rrl.trainers.experiments.tables import effort
 from rrl.trainers.report.runs import Run
 
@@ -74,11 +74,23 @@ def test_what_is_handed_over_is_judged_at_the_end_and_on_the_way(outcome, handed
     assert found.margin == 0.05
 
 
+@pytest.mark.parametrize("episodes", [20, 40, 60, 80, 100])
+def test_what_is_exactly_the_margin_below_the_controller_is_not_worse(episodes):
+    for solved in range(episodes // 20, episodes + 1):
+        for below, word in ((episodes // 20, "not worse"), (episodes // 20 + 1, "worse")):
+            change = (solved - below) / episodes - solved / episodes
+            assert Standing("success", 0.05, change, (-1.0, 0.0), change).verdict == word
+
+
 def test_without_success_the_margin_is_a_share_of_the_range_of_returns(outcome):
     found = standing(outcome(20, entry="return"))
     assert found.entry == "return"
     assert found.margin == pytest.approx(0.05 * 1.0)  # the controller's returns are 0 and 1
     assert found.verdict == "better"
+    made = outcome(20, entry="return")
+    for run in made.runs:  # a start without chance: the size of the return stands in, as in a test
+        run.results["task"]["episodes"]["controller_return"] = [-50.0] * EPISODES
+    assert standing(made).margin == pytest.approx(0.05 * 50.0)
 
 
 @pytest.mark.parametrize("where", ["episodes", "metrics"])
