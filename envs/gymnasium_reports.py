@@ -66,11 +66,21 @@ class Reporting(gymnasium.Wrapper):
 
     def _is_solved(self, info: dict[str, Any], ended: bool) -> bool:
         if not isinstance(self._success, str):
-            return bool(self._success and self._success(self._made))
+            return bool(self._success) and _flag(self._success(self._made))
         self._told = self._told or self._success in info
         if ended and not self._told:
             raise KeyError(
                 "success: expected an entry of info by the episode's end, which has "
                 f"{sorted(info)}, got {self._success!r}"
             )
-        return bool(info.get(self._success, False))
+        return _flag(info.get(self._success, False))
+
+
+def _flag(value: Any) -> bool:
+    """Return whether a value is 1; NaN and None are not."""
+    if not value or value == 1 or value != value:
+        return bool(value == 1)
+    raise ValueError(
+        f"success: expected a flag, 0 or 1, got {value!r}; name an entry of info, or give a "
+        "function, that says whether the task is solved"
+    )

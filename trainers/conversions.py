@@ -12,7 +12,7 @@ from torchrl.envs.transforms import (
     Transform,
 )
 
-from rrl.keys import ACTION, DIVERGED, SUCCESS
+from rrl.keys import ACTION, DIVERGED, METRICS, SUCCESS
 
 __all__ = ["convert"]
 
@@ -32,10 +32,12 @@ def convert(env: TransformedEnv) -> None:
         env.append_transform(DeviceCastTransform(CPU))
     if any(spec.dtype == torch.float64 for spec in env.specs.values(True, True)):
         env.append_transform(_DoubleToFloat())
+    made_up = getattr(type(env.base_env), "shows_made_up_values", False)
+    flag = DTypeCastTransform if made_up else _Flag
     for key in (SUCCESS, DIVERGED):  # some environments write 0.0 and 1.0
         spec = env.observation_spec.get(key, None)
         if spec is not None and spec.dtype != torch.bool:
-            env.append_transform(DTypeCastTransform(spec.dtype, torch.bool, in_keys=[key]))
+            env.append_transform(flag(spec.dtype, torch.bool, in_keys=[key]))
 
 
 class _Copied(Transform):
@@ -52,6 +54,35 @@ class _Copied(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         return tensordict_reset.clone()
+
+
+class _Flag(DTypeCastTransform):
+    """Makes flags of zeros and ones. NaN is no success, and diverged.
+
+    Raises:
+        ValueError: By steps and resets, if a number is something else, such as a share.
+    """
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return super()._step(tensordict, self._checked(next_tensordict))
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return super()._reset(tensordict, self._checked(tensordict_reset))
+
+    def _checked(self, td: TensorDictBase) -> TensorDictBase:
+        (key,) = self.in_keys
+        value = td.get(key, None)
+        if value is None:
+            return td
+        others = value[(value != 0) & (value != 1) & ~value.isnan()]
+        if others.numel():
+            raise ValueError(
+                f"environment: {key}: expected a flag, 0 or 1, got {others[0].item():g}; write a "
+                f"flag, and a share or a count under ({METRICS!r}, NAME)"
+            )
+        return td.set(key, value == 1 if key == SUCCESS else value != 0)
 
 
 class _DoubleToFloat(DoubleToFloat):

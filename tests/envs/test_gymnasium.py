@@ -133,6 +133,19 @@ def test_success_as_a_function_of_the_environment() -> None:
     assert rollout["next", "success"].flatten().tolist() == [False, True, True]
 
 
+@pytest.mark.parametrize("told", [0.3, "yes", 2])
+def test_success_is_a_flag(told) -> None:
+    class Shares(Reach):
+        def step(self, action):
+            *outcome, info = super().step(action)
+            return *outcome, {**info, "share": told}
+
+    for success in ("share", lambda _: told):
+        with pytest.raises(ValueError, match=f"success: expected a flag, 0 or 1, got {told!r}"):
+            gymnasium_env(Shares, success=success).rollout(1)
+    assert not gymnasium_env(Reach, success=lambda _: np.nan).rollout(1)["next", "success"].any()
+
+
 def test_without_success_there_is_no_such_entry() -> None:
     assert "success" not in gymnasium_env(Reach).observation_spec.keys()  # noqa: SIM118
     assert "success" not in gymnasium_env("Pendulum-v1").reset()

@@ -55,8 +55,9 @@ class Episodes:
         """Return means over the episodes.
 
         Success comes with Wilson's 95 % interval, every metric with its 99th percentile and the
-        shares of episodes above its budget and its limit; ``safety_<limit>`` is a share of the
-        steps. ``faults`` of a robot are counted over all episodes.
+        shares of episodes above its budget and its limit, among them what is no number;
+        ``safety_<limit>`` is a share of the steps. ``faults`` of a robot are counted over all
+        episodes.
         """
         out = {
             "return": float(self.returns.mean()),
@@ -73,7 +74,7 @@ class Episodes:
             out[f"{METRICS}/{name}"] = float(values.mean())
             out[f"{METRICS}/{name}{P99}"] = float(np.percentile(values, 99))
             for kind, bound in self.declared.get(name, Metric()).bounds.items():
-                out[f"{METRICS}/{name}{ABOVE[kind]}"] = float((values > bound).mean())
+                out[f"{METRICS}/{name}{ABOVE[kind]}"] = float((~(values <= bound)).mean())
         steps = self.lengths.sum()
         for limit, count in self.limited.items():
             out[f"{SAFETY}_{limit}"] = float(count.sum() / steps)

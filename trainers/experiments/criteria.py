@@ -7,7 +7,7 @@ import numpy as np
 from ..evaluation.statistics import Interval, mean_interval, rate_interval
 from ..metric_names import CONTROLLER
 from ..report.tables import with_interval
-from .outcomes import SOLVED, Finding, Outcome
+from .outcomes import ROUNDING, SOLVED, Finding, Outcome
 
 RESIDUAL, ALONE = "residual RL", "RL alone"
 SIM_ARM = "residual RL on the policy from simulation"
@@ -37,13 +37,13 @@ def ends_above(finding: Finding) -> tuple[bool, str]:
 
 
 def stays_level(finding: Finding) -> tuple[bool, str]:
-    """Over the settings the controller loses return, the residual a third of that at most."""
+    """The controller loses more than 5 % of its return, the residual a third of that at most."""
     first, last = _ends(finding)
     lost = {
-        name: float((first.final(name) - last.final(name)).mean())
+        name: _mean(first.final(name) - last.final(name))
         for name in ("return", "controller_return")
     }
-    falls = lost["controller_return"] > 0.05 * abs(float(first.final("controller_return").mean()))
+    falls = lost["controller_return"] > 0.05 * abs(_mean(first.final("controller_return")))
     text = f"return lost from {first.point.value:g} to {last.point.value:g}: "
     text += f"residual {lost['return']:.2f}, "
     text += f"controller {lost['controller_return']:.2f}; {_rates(first, last)}"
@@ -53,7 +53,7 @@ def stays_level(finding: Finding) -> tuple[bool, str]:
 def withstands_noise(finding: Finding) -> tuple[bool, str]:
     """From the smallest noise to the largest the residual loses less than a tenth of its return."""
     first, last = _ends(finding)
-    before, after = (float(outcome.final("return").mean()) for outcome in (first, last))
+    before, after = (_mean(outcome.final("return")) for outcome in (first, last))
     controller = [float(outcome.final("controller_return").mean()) for outcome in (first, last)]
     text = f"return at sigma = {first.point.value:g} and {last.point.value:g}: "
     text += f"residual {before:.2f} and {after:.2f}, "
@@ -82,18 +82,18 @@ def success_grows(finding: Finding) -> tuple[bool, str]:
     text = f"success at step {curve.steps[0]:.0f}: {first.mean():.0%}, "
     text += f"at {curve.steps[-1]:.0f}: {last.mean():.0%} "
     text += f"[{low:.0%}, {high:.0%}]"
-    return bool(last.mean() >= 15 / 20 and _interval(last - first)[0] > 0), text
+    return bool(last.mean() >= 15 / 20 - ROUNDING and _interval(last - first)[0] > 0), text
 
 
 def learns_under_bias(finding: Finding) -> tuple[bool, str]:
     """At every bias the residual ends at 15 of 20 or more, and not below the controller."""
     parts, holds = [], True
     for outcome in finding.arm(RESIDUAL):
-        residual = outcome.final("success").mean()
-        controller = outcome.final("controller_success").mean()
+        residual = _mean(outcome.final("success"))
+        controller = _mean(outcome.final("controller_success"))
         rates = f"residual {residual:.0%}, controller {controller:.0%}"
         parts.append(f"mu = {outcome.point.value:g}: {rates}")
-        holds &= bool(residual >= 15 / 20 and residual >= controller)
+        holds &= residual >= max(15 / 20, controller) - ROUNDING
     return holds, "; ".join(parts)
 
 
@@ -139,13 +139,21 @@ def _counts(outcome: Outcome, scenario: str) -> tuple[float, float, str]:
 
 def _steps_to_solve(outcome: Outcome) -> int | None:
     curve = outcome.curve("success")
-    first = max(np.flatnonzero(curve.mean < SOLVED), default=-1) + 1
+    first = max(np.flatnonzero(curve.mean < SOLVED - ROUNDING), default=-1) + 1
     return int(curve.steps[first]) if first < len(curve.steps) else None
 
 
 def _steps_text(outcome: Outcome) -> str:
     steps, start = _steps_to_solve(outcome), outcome.curve("success").mean[0]
     return f"{'not reached' if steps is None else steps} (from {start:.0%})"
+
+
+def _mean(values: np.ndarray) -> float:
+    """The mean over seeds; without numbers a claim cannot be tested."""
+    mean = float(values.mean())
+    if np.isnan(mean):
+        raise IndexError("numbers from all seeds")
+    return mean
 
 
 def _interval(values: np.ndarray) -> Interval:

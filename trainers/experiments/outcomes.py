@@ -21,6 +21,8 @@ from .spread import spatial_variance
 
 SOLVED = 0.9
 """Success of the followed episodes that counts as having learned the task."""
+ROUNDING = 1e-9
+"""By how much a mean of rates may be below what it is."""
 
 
 @dataclass(frozen=True)

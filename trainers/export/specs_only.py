@@ -32,6 +32,8 @@ class SpecsOnly(EnvBase):
         command: The action of the last step, ``[*batch, n_act]``.
     """
 
+    shows_made_up_values = True  # a flag may be any number
+
     shown: TensorDictBase
     command: Tensor
 

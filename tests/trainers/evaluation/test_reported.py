@@ -3,12 +3,13 @@
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
 import pytest
 import torch
 from tensordict.nn import TensorDictModule
 from torchrl.data import Composite, Unbounded
 
-from rrl.trainers.evaluation.episodes import Comparison
+from rrl.trainers.evaluation.episodes import Comparison, Episodes
 from rrl.trainers.evaluation.evaluator import Evaluator
 from rrl.trainers.evaluation.rollout import run_episodes, zero_residual
 from rrl.trainers.metric import Metric
@@ -111,6 +112,36 @@ def test_success_may_be_a_number(factory, dtype):
     found, expected = (run_episodes(e, against, 20, seed=0, max_steps=50) for e in (env, plain))
     assert (found.success == expected.success).all()
     assert expected.success.any()
+
+
+@pytest.mark.parametrize("name", ["success", "diverged"])
+def test_a_share_is_no_flag_and_what_is_no_number_is_no_success(factory, name):
+    class Shares(PointMass):
+        told = 0.0
+
+        def __init__(self, *args, **kwargs):
+            super().__init__(*args, **kwargs)
+            self.observation_spec[name] = Unbounded((*self.batch_size, 1))
+
+        def _observe(self):
+            return super()._observe() | {name: torch.full((*self.batch_size, 1), self.told)}
+
+    base = Shares([1])
+    env = replace(factory, base=lambda num_envs=1: base).make(1)
+    for base.told, flag in ((0.0, False), (1.0, True), (np.nan, name == "diverged")):
+        assert env.rollout(1)["next", name].all() == flag
+    base.told = 0.3
+    with pytest.raises(ValueError, match=f"environment: {name}: expected a flag, 0 or 1, got 0.3"):
+        env.reset()
+
+
+def test_a_number_that_is_not_known_is_above_its_bounds():
+    values = {"force": np.array([1.0, np.nan, 3.0, 2.0])}
+    declared = {"force": Metric(unit="N", reduce="max", budget=2.0, limit=3.0)}
+    zeros = np.zeros(4)
+    said = Episodes(zeros, zeros, None, zeros, values, declared=declared).summary()
+    assert said["metrics/force_above_budget"] == 0.5
+    assert said["metrics/force_above_limit"] == 0.25
 
 
 @pytest.mark.parametrize(

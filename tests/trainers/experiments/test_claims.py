@@ -47,6 +47,24 @@ def test_level_is_losing_a_third_of_what_the_controller_loses(outcome, last, con
     assert verdict("5", first, end).holds == holds
 
 
+@pytest.mark.parametrize("number", ["3", "4", "5"])
+def test_a_claim_about_what_is_no_number_is_not_tested(outcome, number):
+    both = outcome(value=0.0), outcome(value=0.3, **{"return": np.nan})
+    assert verdict(number, *both).word == "not tested"
+
+
+def test_a_mean_that_rounding_leaves_just_below_a_bound_reaches_it(outcome):
+    arm = "residual RL on the policy from simulation"
+    quick = outcome(arm, curves={"success": [0.2, 0.9]})
+    rates = (0.85, 0.95)
+    assert np.mean(rates) < 0.9
+    for run, rate in zip(quick.runs, rates, strict=False):
+        points = next(v for name, v in run.metrics.items() if name.endswith("/success"))
+        points[-1] = (points[-1][0], rate)
+    point = replace(quick.point, seeds=quick.point.seeds[:2])
+    assert verdict("9", replace(quick, point=point, runs=quick.runs[:2])).holds
+
+
 def test_the_papers_table(outcome):
     scenarios = {
         "misaligned": {"success": 0.75, "controller_success": 0.1},
