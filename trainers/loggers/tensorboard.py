@@ -14,10 +14,10 @@ class TensorBoardLogger(MetricsLogger):
     """Event files under ``tensorboard/``."""
 
     def start(self, run_dir: Path, config: Mapping[str, Any], env_steps: int) -> None:
-        """Open the event file; TensorBoard drops what lies after ``env_steps``."""
+        """Open the event file; TensorBoard drops what lies after ``env_steps``; at 0, all of it."""
         from torch.utils.tensorboard import SummaryWriter
 
-        purge = env_steps + 1 if env_steps else None
+        purge = env_steps + 1 if env_steps else 0
         self.writer = SummaryWriter(str(run_dir / "tensorboard"), purge_step=purge)
 
     def log(self, values: Values, env_steps: int) -> None:

@@ -63,6 +63,20 @@ def test_tensorboard_holds_the_scalars(tmp_path):
     assert [(e.step, e.value) for e in events.Scalars("a/b")] == [(5, 0.5), (10, 1.0)]
 
 
+@pytest.mark.parametrize("checkpoint", [0, 5])
+def test_tensorboard_goes_on_after_the_checkpoint(tmp_path, checkpoint):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    steps = (0, 5, 10)
+    logged(TensorBoardLogger(), tmp_path, [(step, {"a": 0.0}) for step in steps])
+    again = [(step, {"a": 1.0}) for step in steps if step > checkpoint or not checkpoint]
+    logged(TensorBoardLogger(), tmp_path, again, env_steps=checkpoint)
+    events = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
+    kept = [(step, 0.0) for step in steps if step <= checkpoint and checkpoint]
+    expected = kept + [(step, values["a"]) for step, values in again]
+    assert [(e.step, e.value) for e in events.Scalars("a")] == expected
+
+
 def test_an_offline_run_is_named_and_grouped_by_its_directory(tmp_path):
     run_dir = tmp_path / "lr-3" / "seed-2"
     logged(WandbLogger(name="mine"), run_dir, [(5, {"a/b": 0.5})], config={"x": 1})
