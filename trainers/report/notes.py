@@ -67,14 +67,24 @@ def _faults(results: Results) -> Iterator[str]:
 
 
 def _budget(results: Results, name: str, how: Mapping[str, Any]) -> Iterator[str]:
-    """Say in which scenarios the mean over episodes keeps to a quantity's budget, if it has one."""
+    """Say in which scenarios the mean over episodes keeps to a quantity's budget, if it has one.
+
+    Of what is handed over too, where its mean is another one.
+    """
     if (budget := how.get("budget")) is None:
         return
-    means = {
-        scenario: float(np.mean([record["summary"][f"{METRICS}/{name}"] for record in records]))
-        for scenario, records in results.items()
-    }
-    words = (f"{s} {m:.4g}, {'kept' if m <= budget else 'not kept'}" for s, m in means.items())
+
+    def judged(records: Sequence[Record], prefix: str = "") -> str:
+        key = f"{METRICS}/{name}"
+        found = [r["summary"].get(prefix + key, r["summary"][key]) for r in records]
+        mean = float(np.mean(found))
+        return f"{mean:.4g}, {'kept' if mean <= budget else 'not kept'}"
+
+    words = []
+    for scenario, records in results.items():
+        latest, accepted = judged(records), judged(records, ACCEPTED)
+        words.append(f"{scenario} {latest}")
+        words += [f"{scenario}, handed over, {accepted}"] if accepted != latest else []
     quantity = f"{name.replace('_', ' ')}, {budget:g} {how.get('unit', '')}".rstrip()
     yield f"Budget for the mean of {quantity}: {'; '.join(words)}."
 

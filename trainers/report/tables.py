@@ -86,14 +86,17 @@ def success_rows(results: Results) -> list[list[str]]:
 
     A second row is of what is handed over, where that is another policy in any of the runs.
     """
-    rows = []
+    return [[name, *success_cells(records)] for name, records in _by_policy(results)]
+
+
+def _by_policy(results: Results) -> Iterator[tuple[str, Sequence[Record]]]:
+    """Each scenario's records, then those of what is handed over, where that is another policy."""
     for scenario, records in results.items():
-        rows.append([scenario, *success_cells(records)])
+        yield scenario, records
         accepted = [handed_over(record) for record in records]
         entries = [(a["episodes"], r["episodes"]) for a, r in zip(accepted, records, strict=True)]
         if any(a[key] != latest[key] for a, latest in entries for key in a):
-            rows.append([scenario + HANDED_OVER, *success_cells(accepted)])
-    return rows
+            yield scenario + HANDED_OVER, accepted
 
 
 def success_cells(records: Sequence[Record]) -> list[str]:
@@ -165,6 +168,8 @@ def quantity_rows(
 ) -> tuple[list[str], list[list[str]]]:
     """Return header and rows of all other quantities, ``controller -> residual``.
 
+    As in :func:`success_rows` a second row is of what is handed over.
+
     Args:
         results: What to show.
         declared: What the environment says of its quantities.
@@ -175,13 +180,13 @@ def quantity_rows(
     reported = [key for key in known if key.startswith(f"{METRICS}/")]
     titles |= {key: quantity_title(key, declared) for key in reported}
     rows = []
-    for scenario, records in results.items():
+    for name, records in _by_policy(results):
         summaries = [record["summary"] for record in records]
         cells = [
             " \u2192 ".join(_mean(summaries, k) for k in pair) if pair[0] in summaries[0] else ""
             for pair in ((CONTROLLER + key, key) for key in titles)
         ]
-        rows.append([scenario, *cells])
+        rows.append([name, *cells])
     return ["scenario", *titles.values()], rows
 
 

@@ -102,6 +102,21 @@ def test_episodes_above_budget_and_limit_are_counted_and_the_budget_is_judged():
     assert said in markdown_tables(results, declared)
 
 
+def test_the_budget_is_judged_of_what_is_handed_over_too():
+    how = Metric(unit="N", reduce="max", budget=12.0)
+    latest, accepted = (
+        replace(episodes(9, force=force), declared={"contact_force": how}) for force in (2.0, 5.0)
+    )
+    compared = Comparison(latest, latest, accepted=accepted, accepted_env_steps=3000)
+    results, declared = one_run({"a": compared}), {"contact_force": how.model_dump()}
+    said = "12 N: a 11.5, kept; a, handed over, 14.5, not kept."
+    assert any(text.endswith(said) for text in notes(results, declared))
+    header, rows = quantity_rows(results, declared)
+    mean = header.index("contact force, mean [N]")
+    assert [row[0] for row in rows] == ["a", "a, handed over"]
+    assert [row[mean] for row in rows] == ["11.50 \u2192 11.50", "11.50 \u2192 14.50"]
+
+
 def test_what_is_not_paired_is_not_called_rescued_or_broken():
     compared = [Comparison(episodes(k), episodes(2), frozen=False) for k in (15, 19)]
     paired = [replace(c, frozen=True) for c in compared]
