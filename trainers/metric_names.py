@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-__all__ = ["ABOVE", "ACCEPTED", "CONTROLLER", "FAULTS", "P99", "is_share"]
+__all__ = ["ABOVE", "ACCEPTED", "CONTROLLER", "EPISODES", "FAULTS", "P99", "is_share"]
 
 CONTROLLER = "controller_"
 """Prefix of the entries of the controller alone; without one they are the latest policy's."""
 ACCEPTED = "accepted_"
 """Prefix of the entries of what the run hands over, where policies are tested for it."""
 
+EPISODES = "episodes"
+"""Entry of the number of episodes of an evaluation."""
 FAULTS = "faults"
 """Entry of a robot's faults in the middle of an episode: how many there were."""
 P99 = "_p99"

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rrl.keys import METRICS, SAFETY
 
 from ..metric import Metric
-from ..metric_names import ABOVE, ACCEPTED, CONTROLLER, FAULTS, P99
+from ..metric_names import ABOVE, ACCEPTED, CONTROLLER, EPISODES, FAULTS, P99
 from ..storage.files import write_atomically
 from .statistics import fisher, mcnemar, wilson
 
@@ -128,12 +128,12 @@ class Comparison:
     def summary(self) -> dict[str, float]:
         """Return the policy's summary, the controller's under ``controller_``, and the change.
 
-        ``frozen`` is 1 or 0. What the run would hand over has the policy's entries under
-        ``accepted_``.
+        ``frozen`` is 1 or 0; ``episodes`` is their number, which a resumed run may change. What the
+        run would hand over has the policy's entries under ``accepted_``.
         """
         out = self.residual.summary()
         out |= {f"{CONTROLLER}{name}": v for name, v in self.controller.summary().items()}
-        out |= self._change() | {"frozen": float(self.frozen)}
+        out |= self._change() | {"frozen": float(self.frozen), EPISODES: len(self.residual.returns)}
         if self.accepted is not None:
             accepted = self.accepted.summary() | self.handed_over._change()
             accepted["env_steps"] = self.accepted_env_steps

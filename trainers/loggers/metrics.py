@@ -21,10 +21,11 @@ LOSS = "loss"
 
 EVALUATION = "eval"
 """Followed episodes during training: ``eval/<scenario>/success``, ``.../rescues``,
-``.../controller_success``, ``.../metrics/<name>``, ``.../metrics/<name>_p99``, shares of episodes
-``.../metrics/<name>_above_budget`` and ``.../<name>_above_limit``; of what the run would hand over
-``.../accepted_success``, ``.../accepted_env_steps`` (0: the controller). Of a robot also
-``.../faults``, a number, with the same prefixes."""
+``.../controller_success``, ``.../episodes`` (their number), ``.../metrics/<name>``,
+``.../metrics/<name>_p99``, shares of episodes ``.../metrics/<name>_above_budget`` and
+``.../<name>_above_limit``; of what the run would hand over ``.../accepted_success``,
+``.../accepted_env_steps`` (0: the controller). Of a robot also ``.../faults``, a number, with the
+same prefixes."""
 
 ACCEPTANCE = "acceptance"
 """The test of a candidate: ``acceptance/episodes`` (pairs; 0: it was none), ``.../evidence`` (1 or

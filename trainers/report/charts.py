@@ -98,7 +98,8 @@ def _group_traces(group: Group, panel: Panel, curve: Curve, color: str) -> list[
     mean = _line(steps, curve.mean * scale, label, label, style)
     mean.update(meta=meta | {"Show": "mean"}, zorder=1)
     traces = [mean]
-    if bounds := curve.band(group.followed_episodes if panel.counted else None, panel.bounds):
+    counts = group.followed_episodes(steps) if panel.counted else None
+    if bounds := curve.band(counts, panel.bounds):
         low, high = (bound * scale for bound in bounds)
         there_and_back = np.append(steps, steps[::-1])
         band = _line(there_and_back, np.append(low, high[::-1]), "", label, {"width": 0})

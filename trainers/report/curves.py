@@ -41,20 +41,22 @@ class Curve:
         return self.values.mean(0)
 
     def band(
-        self, episodes: int | None = None, bounds: tuple[float, float] = ANY
+        self, episodes: int | Floats | None = None, bounds: tuple[float, float] = ANY
     ) -> tuple[Floats, Floats] | None:
         """Return the 95 % interval of the mean, two ``[T]``.
 
         Args:
-            episodes: Of each run, where values are shares of them: see
+            episodes: Of each run, where values are shares of them, of all steps or ``[T]``: see
                 :func:`~rrl.trainers.evaluation.statistics.rate_interval`. None: Student's t.
             bounds: Values that Student's interval does not leave.
 
         Returns:
             None where a single run says nothing about others.
         """
-        if episodes:
-            low, high = np.array([_rate_interval(rates, episodes) for rates in self.values.T]).T
+        if episodes is not None:
+            counts = np.broadcast_to(episodes, self.steps.shape)
+            pairs = zip(self.values.T, counts, strict=True)
+            low, high = np.array([_rate_interval(rates, int(count)) for rates, count in pairs]).T
         elif len(self.values) > 1:
             low, high = np.array([mean_interval(column) for column in self.values.T]).T
             low, high = low.clip(*bounds), high.clip(*bounds)
@@ -83,6 +85,18 @@ def curve(series: Series) -> Curve:
     steps = sorted(set.intersection(*(set(points) for points in per_seed.values())))
     values = np.array([[points[t] for t in steps] for points in per_seed.values()])
     return Curve(tuple(per_seed), np.array(steps, dtype=float), values)
+
+
+def counts_at(steps: Floats, logged: Iterable[Sequence[tuple[int, float]]], other: int) -> Floats:
+    """Return the episodes of an evaluation ``[T]``, the fewest of any run.
+
+    Args:
+        steps: Of the evaluations ``[T]``.
+        logged: Of every run ``(env_steps, episodes)``.
+        other: What counts where nothing was logged.
+    """
+    runs = [dict(points) for points in logged]
+    return np.array([min(float(points.get(step, other)) for points in runs) for step in steps])
 
 
 def view(lines: Iterable[Floats], share: float) -> tuple[float, float]:

@@ -69,7 +69,8 @@ def _draw(axis: Axes, group: Group, panel: Panel) -> None:
     if len(found.seeds) > 1:
         each = found.values.T * panel.scale
         axis.plot(found.steps, each, color=RESIDUAL_COLOR, linewidth=0.6, alpha=0.45)
-    band = found.band(group.followed_episodes if panel.counted else None, panel.bounds)
+    counts = group.followed_episodes(found.steps) if panel.counted else None
+    band = found.band(counts, panel.bounds)
     draw_mean(axis, found, band, panel.scale, RESIDUAL_COLOR, "residual RL", "95 % interval")
     if level := group.curve(panel.controller):
         (line,) = axis.plot(level.steps, level.mean * panel.scale, "--", linewidth=2)

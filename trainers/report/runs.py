@@ -15,9 +15,10 @@ import yaml
 
 from ..loggers import metrics
 from ..loggers.csv_file import read_metrics
+from ..metric_names import EPISODES
 from ..storage.run_files import CONFIG_FILE, METRICS, RESULTS, VERSIONS, VIDEOS, seed_directories
 from ..storage.same_run import SEEDS, measured_settings
-from .curves import Curve, curve
+from .curves import Curve, Floats, counts_at, curve
 from .panels import FOLLOWED, Declared
 
 log = logging.getLogger(__name__)
@@ -149,10 +150,10 @@ class Group:
         """The scenario that is evaluated during training."""
         return self.runs[0].followed
 
-    @property
-    def followed_episodes(self) -> int:
-        """Episodes of an evaluation during training."""
-        return int(self.config["trainer"]["evaluation"]["episodes"])
+    def followed_episodes(self, steps: Floats) -> Floats:
+        """Return the episodes of the evaluations after these steps, ``[T]``."""
+        logged = [run.evaluations(EPISODES) for run in self.runs]
+        return counts_at(steps, logged, int(self.config["trainer"]["evaluation"]["episodes"]))
 
     @property
     def declared(self) -> Declared:

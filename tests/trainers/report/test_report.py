@@ -11,7 +11,7 @@ from browser import needs_chromium, opened
 from logged_runs import EPISODES, FORCE, edit, episodes, make_run
 from rrl.trainers.cli.main import main
 from rrl.trainers.evaluation.episodes import Comparison
-from rrl.trainers.evaluation.statistics import success_interval
+from rrl.trainers.evaluation.statistics import success_interval, wilson
 from rrl.trainers.metric import Metric
 from rrl.trainers.report import report
 from rrl.trainers.report.charts import curves
@@ -128,6 +128,23 @@ def test_a_rate_that_is_no_number_is_a_gap(tmp_path):
     assert np.isnan([low[-1], high[-1]]).all() and np.isfinite([low[:-1], high[:-1]]).all()
     assert learning_curve(group, tmp_path / "curve.png")
     write_report([*group.runs], tmp_path / "page.html")
+
+
+def test_every_point_has_the_interval_of_its_own_number_of_episodes(tmp_path):
+    run = make_run(tmp_path / "run")
+    rows = (run / "metrics.csv").read_text().splitlines(keepends=True)
+    solved = "eval/misaligned/success,"
+    rows = [row.rpartition(solved)[0] + solved + "0.5\n" if solved in row else row for row in rows]
+    (run / "metrics.csv").write_text("".join(rows))
+    edit(run, trainer={"seed": 0, "total_steps": 1000, "evaluation": {"episodes": 100}})  # resumed
+    with (run / "metrics.csv").open("a") as file:
+        file.write(f"1050,{solved}0.5\n1050,eval/misaligned/episodes,100\n")
+    (band,) = (
+        line for line in curves(group_runs(find_runs([run])), LEARNING[:1]).data if line.fill
+    )
+    low, high = band.y[: len(band.y) // 2] / 100, band.y[len(band.y) // 2 :][::-1] / 100
+    assert np.allclose([low[0], high[0], low[-2], high[-2]], wilson(10, 20) * 2)
+    assert np.allclose([low[-1], high[-1]], wilson(50, 100))
 
 
 def test_groups_of_different_budgets_stand_side_by_side(tmp_path):
