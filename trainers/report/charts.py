@@ -20,6 +20,7 @@ CONTROLLER_COLOR = "#8a929c"
 COLUMNS, ROW_HEIGHT = 2, 330
 MAX_POINTS = 120
 """Of one line; longer records are averaged in blocks."""
+HOVER = "%{y:.4g} after %{x} steps"
 
 
 def curves(groups: Sequence[Group], panels: Sequence[Panel]) -> go.Figure | None:
@@ -97,11 +98,15 @@ def _group_traces(group: Group, panel: Panel, curve: Curve, color: str) -> list[
     style = {"color": color, "width": 2.5, "dash": dash}
     mean = _line(steps, curve.mean * scale, label, label, style)
     mean.update(meta=meta | {"Show": "mean"}, zorder=1)
+    if curve.known is not None:
+        of = f"{HOVER}, mean of %{{customdata}} of {len(curve.seeds)} runs"
+        mean.update(customdata=curve.known.sum(axis=0), hovertemplate=of)
     traces = [mean]
     counts = group.followed_episodes(steps) if panel.counted else None
     if bounds := curve.band(counts, panel.bounds):
-        low, high = (bound * scale for bound in bounds)
-        there_and_back = np.append(steps, steps[::-1])
+        there = np.isfinite(bounds).all(axis=0)
+        low, high = (bound[there] * scale for bound in bounds)
+        there_and_back = np.append(steps[there], steps[there][::-1])
         band = _line(there_and_back, np.append(low, high[::-1]), "", label, {"width": 0})
         band.update(fill="toself", fillcolor=_transparent(color, 0.16), hoverinfo="skip")
         band.update(hovertemplate=None, meta=meta | {"Show": "95 % band"})
@@ -122,7 +127,7 @@ def _controllers(groups: Sequence[Group], panel: Panel, end: float) -> list[go.S
     learned_on = [group for group in groups if group.config["arm"] == "residual"]
     found = {group.label: group.curve(panel.controller) for group in learned_on}
     levels = {label: curve for label, curve in found.items() if curve}
-    values = {label: frozenset(curve.values.ravel()) for label, curve in levels.items()}
+    values = {label: frozenset(np.concatenate(curve.columns)) for label, curve in levels.items()}
     traces = []
     for name, labels in controllers(values).items():
         longest = max((levels[label] for label in labels), key=lambda curve: curve.steps[-1])
@@ -134,9 +139,8 @@ def _controllers(groups: Sequence[Group], panel: Panel, end: float) -> list[go.S
 
 
 def _line(x: Floats, y: Floats, name: str, group: str, style: dict[str, Any]) -> go.Scatter:
-    hover = "%{y:.4g} after %{x} steps"
     mode = "lines" if len(x) > 1 else "markers"
-    look = {"line": style, "mode": mode, "marker_color": style.get("color"), "hovertemplate": hover}
+    look = {"line": style, "mode": mode, "marker_color": style.get("color"), "hovertemplate": HOVER}
     return go.Scatter(x=x, y=y, name=name, legendgroup=group, **look)
 
 

@@ -29,16 +29,27 @@ class Curve:
         seeds: The runs' seeds ``[S]``.
         steps: Environment steps ``[T]``.
         values: One row per run ``[S, T]``.
+        known: Which of the values there are ``[S, T]``; None: all of them.
     """
 
     seeds: tuple[int, ...]
     steps: Floats
     values: Floats
+    known: NDArray[np.bool_] | None = None
+
+    @property
+    def columns(self) -> list[Floats]:
+        """The values that there are at each step."""
+        if self.known is None:
+            return list(self.values.T)
+        return [column[there] for column, there in zip(self.values.T, self.known.T, strict=True)]
 
     @property
     def mean(self) -> Floats:
-        """Mean over runs ``[T]``."""
-        return self.values.mean(0)
+        """Mean over the runs that there are values of ``[T]``."""
+        if self.known is None:
+            return self.values.mean(0)
+        return np.array([column.mean() for column in self.columns])
 
     def band(
         self, episodes: int | Floats | None = None, bounds: tuple[float, float] = ANY
@@ -55,10 +66,10 @@ class Curve:
         """
         if episodes is not None:
             counts = np.broadcast_to(episodes, self.steps.shape)
-            pairs = zip(self.values.T, counts, strict=True)
+            pairs = zip(self.columns, counts, strict=True)
             low, high = np.array([_rate_interval(rates, int(count)) for rates, count in pairs]).T
         elif len(self.values) > 1:
-            low, high = np.array([mean_interval(column) for column in self.values.T]).T
+            low, high = np.array([mean_interval(column) for column in self.columns]).T
             low, high = low.clip(*bounds), high.clip(*bounds)
         else:
             return None
@@ -68,23 +79,49 @@ class Curve:
         """Return a curve up to ``end``, of what does not learn: a single value is a level."""
         if len(self.steps) > 1 or self.steps[0] == end:
             return self
-        return replace(self, steps=np.array([0.0, end]), values=np.repeat(self.values, 2, axis=1))
+        known = None if self.known is None else np.repeat(self.known, 2, axis=1)
+        values = np.repeat(self.values, 2, axis=1)
+        return replace(self, steps=np.array([0.0, end]), values=values, known=known)
 
     def thinned(self, points: int) -> Curve:
         """Return at most about ``points`` points, each the mean of neighbors."""
         every = -(-len(self.steps) // points)
         starts = np.arange(0, len(self.steps), every)
-        counts = np.diff([*starts, len(self.steps)])
-        means = np.add.reduceat(self.values, starts, axis=1) / counts
-        return replace(self, steps=self.steps[starts + counts - 1], values=means)
+        steps = self.steps[np.append(starts[1:], len(self.steps)) - 1]
+        known = np.ones(self.values.shape, dtype=bool) if self.known is None else self.known
+        sums = np.add.reduceat(np.where(known, self.values, 0.0), starts, axis=1)
+        counts = np.add.reduceat(known, starts, axis=1, dtype=int)
+        values = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+        return replace(
+            self, steps=steps, values=values, known=None if self.known is None else counts > 0
+        )
 
 
 def curve(series: Series) -> Curve:
-    """Return the steps that every run reached; of a step logged twice the last value counts."""
+    """Return the steps that every run logged; of a step logged twice the last value counts."""
     per_seed = {seed: dict(points) for seed, points in series.items()}
     steps = sorted(set.intersection(*(set(points) for points in per_seed.values())))
     values = np.array([[points[t] for t in steps] for points in per_seed.values()])
     return Curve(tuple(per_seed), np.array(steps, dtype=float), values)
+
+
+def joined(series: Series) -> Curve:
+    """Return every step that any run logged; of a step logged twice the last value counts.
+
+    A run counts at each with its last value so far, from its first one until its next one is
+    overdue: until its longest time between two has passed once more.
+    """
+    steps = np.array(sorted({step for points in series.values() for step, _ in points}), float)
+    values, known = [], []
+    for points in series.values():
+        at, logged = np.array(sorted(dict(points).items()), dtype=float).T
+        last = np.searchsorted(at, steps, side="right") - 1
+        overdue = at[-1] + np.diff(at).max(initial=0)
+        there = (last >= 0) & ((steps < overdue) | (steps <= at[-1]))
+        values.append(np.where(there, logged[last], np.nan))
+        known.append(there)
+    whole = np.all(known)
+    return Curve(tuple(series), steps, np.array(values), None if whole else np.array(known))
 
 
 def counts_at(steps: Floats, logged: Iterable[Sequence[tuple[int, float]]], other: int) -> Floats:

@@ -6,7 +6,7 @@ import json
 import logging
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from ..loggers.csv_file import read_metrics
 from ..metric_names import EPISODES
 from ..storage.run_files import CONFIG_FILE, METRICS, RESULTS, VERSIONS, VIDEOS, seed_directories
 from ..storage.same_run import SEEDS, measured_settings
-from .curves import Curve, Floats, counts_at, curve
+from .curves import Curve, Floats, counts_at, joined
 from .panels import FOLLOWED, Declared
 
 log = logging.getLogger(__name__)
@@ -183,9 +183,7 @@ class Group:
         series = {k: run.metrics[name] for k, run in enumerate(self.runs) if name in run.metrics}
         if not series:
             return None
-        found = curve(series)
-        seeds = tuple(self.runs[k].seed for k in found.seeds)
-        return Curve(seeds, found.steps, found.values) if len(found.steps) else None
+        return replace(joined(series), seeds=tuple(self.runs[k].seed for k in series))
 
     def metrics_of(self, *group: str) -> list[str]:
         """Return the names of the logged metrics of a group, without the group."""

@@ -3,11 +3,13 @@
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 import yaml
 
 from logged_runs import EPISODES, STEPS, edit, make_run
-from rrl.trainers.report.charts import time_split
+from rrl.trainers.report.charts import curves, time_split
+from rrl.trainers.report.panels import LEARNING
 from rrl.trainers.report.report import write_report
 from rrl.trainers.report.runs import find_runs, group_runs
 
@@ -93,3 +95,42 @@ def test_runs_that_differ_by_the_seed_alone_are_a_group(runs, tmp_path):
     assert alone.curve("eval/{followed}/return").band() is None
     low, high = alone.curve("eval/{followed}/success").band(EPISODES)
     assert (low < high).all()
+
+
+def test_a_run_that_ended_early_does_not_shorten_the_others(runs):
+    rows = (runs[0] / "metrics.csv").read_text().splitlines(keepends=True)
+    early = rows[:1] + [row for row in rows[1:] if int(row.partition(",")[0]) <= 400]
+    (runs[0] / "metrics.csv").write_text("".join(early))
+    (group,) = group_runs(find_runs(runs[:3]))
+    found, name = group.curve("eval/{followed}/success"), "eval/misaligned/success"
+    assert found.steps.tolist() == list(STEPS)
+    assert [len(column) for column in found.columns] == [3] * 9 + [2] * 12
+    both = [[dict(run.metrics[name])[step] for run in group.runs[1:]] for step in (450, 1000)]
+    assert found.mean[[9, -1]].tolist() == [sum(pair) / 2 for pair in both]
+    low, high = found.band(group.followed_episodes(found.steps))
+    assert (low < high).all()
+    drawn = curves([group], LEARNING).data
+    assert [line.x[-1] for line in drawn if line.meta.get("Show") == "mean"] == [1000, 1000]
+    assert "of 3 runs" in drawn[0].hovertemplate
+
+
+def test_what_runs_log_at_steps_of_their_own_keeps_a_curve(runs):
+    for number, run in enumerate(runs[:3]):
+        with (run / "metrics.csv").open("a") as file:
+            for step in range(100 + number, 1000, 70 + number):
+                file.write(f"{step},train/return,{number}\n")
+    (group,) = group_runs(find_runs(runs[:3]))
+    found = group.curve("train/return")
+    assert [found.steps[0], found.steps[-1]] == [100, 966]
+    assert [len(column) for column in found.columns[:3]] == [1, 2, 3]
+    assert found.mean[2:].tolist() == [1.0] * (len(found.steps) - 2)
+    assert found.thinned(5).mean[-1] == 1.0
+    low, high = found.band()
+    assert np.isnan([low[0], high[0]]).all() and (low < high)[1:].all()
+
+
+def test_a_return_that_is_no_number_is_no_mean_of_the_others(runs):
+    with (runs[0] / "metrics.csv").open("a") as file:
+        file.write("1000,eval/misaligned/return,nan\n")
+    (group,) = group_runs(find_runs(runs[:3]))
+    assert np.isnan(group.curve("eval/{followed}/return").mean).tolist() == [False] * 20 + [True]
