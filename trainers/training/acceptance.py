@@ -109,6 +109,23 @@ class Acceptance:
         now, since = self._now(comparison), self.handed_over.env_steps
         return replace(comparison, accepted=now, accepted_env_steps=since), named
 
+    def require_tested_on(self, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+        """Refuse to go on with a policy that was tested on another scenario than the followed one.
+
+        Args:
+            before: The configuration that a checkpoint was made with.
+            now: The configuration to go on with.
+
+        Raises:
+            ValueError: If the run hands over a learned policy, and the first scenario is another.
+        """
+        tested, followed = map(_first_scenario, (before, now))
+        if self.handed_over.env_steps and tested != followed:
+            raise ValueError(
+                f"env.scenarios: expected {tested} first, on which the policy was tested that the "
+                f"run hands over, got {followed}; put that one first, or start a new run"
+            )
+
     def state_dict(self) -> dict[str, Any]:
         """Return what is handed over, how many episodes are used up, and what they have shown."""
         state = {"played": self._played, "alpha_left": self._budget.left}
@@ -178,6 +195,13 @@ class Acceptance:
     def _unit(controller: Episodes) -> float:
         """What the margin is a share of: a success, or the range of the controller's returns."""
         return margin_unit(controller.returns) if controller.success is None else 1.0
+
+
+def _first_scenario(config: Mapping[str, Any]) -> dict[str, Any]:
+    """The followed scenario by name, as far as a configuration tells."""
+    env = config.get("env")
+    scenarios = env.get("scenarios") if isinstance(env, Mapping) else None
+    return dict(list((scenarios or {}).items())[:1])
 
 
 def _outcomes(episodes: Episodes) -> NDArray[np.float64]:

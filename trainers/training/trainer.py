@@ -128,8 +128,7 @@ class Trainer(AbstractContextManager["Trainer"]):
         from what was stored after the checkpoint, and goes on from there.
 
         Raises:
-            FileNotFoundError: If there is none.
-            ValueError: If none is whole, the configuration is not the run's own, or more is done.
+            FileNotFoundError, ValueError: If none is whole, this is another run, or more is done.
         """
         self.checkpoints.claim()
         path, note, torn = newest_whole(self.run_dir, lambda n: self.store.check(n["transitions"]))
@@ -137,6 +136,7 @@ class Trainer(AbstractContextManager["Trainer"]):
         require_same_run(note["config"] | note["interface"], self.config | reads)
         self.checkpoints.load(path, torn)
         require_no_shorter(self.settings, self.env_steps)
+        self.acceptance.require_tested_on(note["config"], self.config)
         if self.collection.can_continue:
             self.store.set_pending_aside()
         else:

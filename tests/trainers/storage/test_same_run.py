@@ -10,7 +10,7 @@ import pytest
 from rrl.algorithms import TD3, mlp
 from rrl.controllers import ZeroController
 from rrl.trainers import Input, Trainer
-from rrl.trainers.settings import CheckpointSettings
+from rrl.trainers.settings import AcceptanceSettings, CheckpointSettings
 from rrl.trainers.storage.same_run import differences, require_same_run
 from rrl.transforms import FiniteAction, StepLimit
 from runs import assert_same, run
@@ -98,6 +98,30 @@ def test_a_configuration_may_hold_anything_and_is_compared(settings, factory, tm
     trainer = make(data=Path("there"), limits=[1, 2])
     with trainer, pytest.raises(ValueError, match='data: "here" -> "there"'):
         trainer.resume()
+
+
+@pytest.mark.parametrize("accepted", [True, False])
+def test_what_is_handed_over_was_tested_on_the_followed_scenario(
+    settings, factory, tmp_path, accepted
+):
+    def make(**scenarios):
+        tests = AcceptanceSettings(enabled=accepted)
+        short = settings(total_steps=40, warmup_steps=20, acceptance=tests)
+        config, agent = {"env": {"scenarios": scenarios}}, partial(TD3, network=mlp)
+        return Trainer(short, factory, agent, run_dir=tmp_path / "run", config=config)
+
+    trainer = make(one={"drift": 0.1})
+    if accepted:
+        trainer.acceptance.handed_over.take(20)
+    run(trainer)
+    with make(one={"drift": 0.1}, two={}) as trainer:
+        trainer.resume()
+    with make(one={"drift": 0.2}) as trainer:
+        if accepted:
+            with pytest.raises(ValueError, match=r"env.scenarios: expected .*0.1.* first.*0.2"):
+                trainer.resume()
+        else:
+            trainer.resume()
 
 
 def test_no_scenario_is_not_the_training_environment(settings, factory, tmp_path):
