@@ -28,7 +28,7 @@ from rrl.controllers import ProportionalController
 from rrl.trainers.cli.compose import compose
 from rrl.trainers.evaluation.episodes import Episodes
 from rrl.trainers.evaluation.rollout import run_episodes
-from rrl.trainers.evaluation.statistics import success_interval
+from rrl.trainers.evaluation.statistics import rate_interval
 from rrl.trainers.seeds import Stream, first_seed
 
 Parameters = dict[str, float]
@@ -137,9 +137,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def show(episodes: int, method: str, found: Sequence[Episodes]) -> None:
     """Print a row."""
-    solved = np.array([_success(each) for each in found])
-    low, high = (100 * bound for bound in success_interval(solved))
-    rate, each = 100 * solved.mean(), ", ".join(f"{count:.0f}" for count in solved.sum(axis=1))
+    solved = [int(_success(each).sum()) for each in found]
+    low, high = (100 * bound for bound in rate_interval(solved, FINAL))
+    rate, each = 100 * np.mean(solved) / FINAL, ", ".join(map(str, solved))
     print(f"| {episodes} | {method} | {each} | {rate:.0f} [{low:.0f}, {high:.0f}] % |", flush=True)
 
 
