@@ -66,7 +66,7 @@ class Reporting(gymnasium.Wrapper):
 
     def _is_solved(self, info: dict[str, Any], ended: bool) -> bool:
         if not isinstance(self._success, str):
-            return bool(self._success) and _flag(self._success(self._made))
+            return self._success is not None and _flag(self._success(self._made))
         self._told = self._told or self._success in info
         if ended and not self._told:
             raise KeyError(

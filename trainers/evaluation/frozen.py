@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -26,7 +26,7 @@ NOT_FROZEN = (
 )
 """What is logged of a scenario whose episodes are not frozen: its name, where they differ, and who
 shares the generators."""
-Trace = list[tuple[Mapping[NestedKey, NDArray[np.float64]], NDArray[np.bool_]]]
+Trace = Sequence[tuple[Mapping[NestedKey, NDArray[np.float64]], NDArray[np.bool_]]]
 """Of every step one number for each entry and slot, ``[slots]``, and the slots that still run."""
 
 

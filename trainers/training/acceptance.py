@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -91,7 +90,8 @@ class Acceptance:
         self._notice(*comparison.controller.returns, *comparison.residual.returns)
         unit = self._unit(comparison.controller)
         largest = max(unit, self._largest_loss(comparison.controller))
-        played, faults, test = 0, {}, self._budget.test(self.settings.margin * unit / largest)
+        faults: dict[str, float] = {}
+        played, test = 0, self._budget.test(self.settings.margin * unit / largest)
         if self._is_candidate(comparison):
             played, faults = self._test(test, largest)
             self._budget.settle(test)
@@ -166,7 +166,7 @@ class Acceptance:
             How many pairs, and the faults of a robot meanwhile, by whose they are.
         """
         scenario, played = self.evaluator.followed, 0
-        faults: Counter[str] = Counter()
+        faults: dict[str, float] = {}
         at_a_time = self.evaluator.side_by_side(scenario, SIDE_BY_SIDE)
         while not test.decided and played < self.settings.episodes:
             count = min(at_a_time, self.settings.episodes - played)
@@ -176,9 +176,10 @@ class Acceptance:
             self._notice(*policy.returns)
             for prefix, arm in (("", policy), (CONTROLLER, alone)):
                 if arm.faults is not None:
-                    faults[prefix + FAULTS] += float(arm.faults.sum())
+                    name = prefix + FAULTS
+                    faults[name] = faults.get(name, 0.0) + float(arm.faults.sum())
             test.add((_outcomes(policy) - _outcomes(alone)) / largest)
-        return played, dict(faults)
+        return played, faults
 
     def _notice(self, *returns: float) -> None:
         finite = [float(value) for value in returns if np.isfinite(value)]
