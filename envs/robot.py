@@ -17,6 +17,7 @@ from torchrl.envs import EnvBase
 from rrl.keys import ACTION, REWARD
 from rrl.pace import Pace
 from rrl.robot import Description, EntrySpec, Observation, Robot, RobotFault
+from rrl.signals import held_back
 
 log = logging.getLogger(__name__)
 
@@ -81,7 +82,8 @@ class RobotEnv(EnvBase):
         if self._connected:
             self._connected = False
             try:
-                self.robot.stop()
+                with held_back():
+                    self.robot.stop()
             except RobotFault as fault:
                 log.warning("the robot is left without being told to stop: %s", fault)
             finally:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from rrl.signals import raised_as_exits
+from rrl.signals import held_back, raised_as_exits
 
 
 class RobotFault(Exception):
@@ -103,11 +103,12 @@ class Robot(ABC):
 def stopping(robot: Robot) -> Iterator[None]:
     """Tell a robot to stop when the block ends, however it ends.
 
-    Also by SIGTERM or a closed terminal (:func:`rrl.signals.raised_as_exits`). SIGKILL and a loss
-    of power are left to the robot's own timeout.
+    Also by SIGTERM or a closed terminal (:func:`rrl.signals.raised_as_exits`); further signals wait
+    until it was told. SIGKILL and a loss of power are left to the robot's own timeout.
     """
     with raised_as_exits():
         try:
             yield
         finally:
-            robot.stop()
+            with held_back():
+                robot.stop()

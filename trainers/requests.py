@@ -15,6 +15,7 @@ from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, TransformedEnv
 
 from rrl.keys import SUCCESS
 from rrl.robot import RobotFault
+from rrl.signals import held_back
 from rrl.slot_masks import truncate
 
 __all__ = ["Request", "Requests", "has_content", "stand_still", "stop_of"]
@@ -158,7 +159,8 @@ def stand_still(env: EnvBase) -> None:
     """Have an environment's robot stand still, if it is one and answers."""
     if (stop := stop_of(env)) is not None:
         try:
-            stop()
+            with held_back():
+                stop()
         except RobotFault as fault:  # it stops by itself: nobody commands it any more
             log.debug("stop: %s", fault)
 

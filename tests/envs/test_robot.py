@@ -1,5 +1,8 @@
 """A robot's description is an environment's specs, whatever NumPy calls its types."""
 
+import os
+import signal
+
 import numpy as np
 import pytest
 import torch
@@ -7,6 +10,7 @@ from torchrl.envs.utils import check_env_specs
 
 from rrl.envs import RobotEnv
 from rrl.robot import Description, EntrySpec, Observation, Robot
+from rrl.trainers.requests import stand_still
 
 
 class Described(Robot):
@@ -138,3 +142,35 @@ def test_a_robot_that_was_made_for_an_environment_that_cannot_be_is_closed(made_
     with pytest.raises(ValueError, match="description"):
         RobotEnv((lambda: robot) if made_here else robot)
     assert closed == [robot] * made_here
+
+
+class Interrupted(Described):
+    """Somebody presses Ctrl-C while it is told to stop."""
+
+    def __init__(self):
+        super().__init__()
+        self.has_stopped = self.is_closed = False
+
+    def stop(self):
+        if not self.has_stopped:
+            os.kill(os.getpid(), signal.SIGINT)
+        self.has_stopped = True
+
+    def close(self):
+        self.is_closed = True
+
+
+@pytest.mark.parametrize("end", [RobotEnv.close, stand_still])
+def test_a_signal_waits_until_the_robot_was_told_to_stop(end):
+    robot = Interrupted()
+    env = RobotEnv(robot)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            end(env)
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert robot.has_stopped
+    env.close()
+    assert robot.is_closed
