@@ -8,9 +8,10 @@ from typing import Any
 
 import torch
 from tensordict import TensorDict
-from torch import Tensor
+from torch import Tensor, nn
 
 from rrl.algorithms import TD3, Agent, mlp
+from rrl.algorithms.networks import Linear
 from rrl.trainers.environment import EnvironmentFactory
 
 BATCH, OBSERVATION, ACTION = 16, 5, 2
@@ -27,7 +28,19 @@ def make_agent(
     """An agent with the initial weights of that seed."""
     torch.manual_seed(seed)
     network = partial(mlp, hidden=hidden, layer_norm=layer_norm)
-    return algorithm({"observation": OBSERVATION}, ACTION, network=network, **arguments)
+    return algorithm({"observation": OBSERVATION}, ACTION, **{"network": network, **arguments})
+
+
+class Joining(nn.Sequential):
+    """Layers one after the other, the first of which gets all inputs side by side."""
+
+    def forward(self, *inputs: Tensor) -> Tensor:
+        return super().forward(torch.cat(inputs, -1))
+
+
+def last_linear(policy: nn.Module) -> Any:
+    """The output layer of a policy whose network registers its layers in order."""
+    return [m for m in policy.modules() if isinstance(m, (nn.Linear, Linear))][-1]
 
 
 def batches(k: int, seed: int = 0) -> TensorDict:

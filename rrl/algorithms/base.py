@@ -15,7 +15,7 @@ from torchrl.objectives import LossModule, SoftUpdate
 from torchrl.objectives.utils import ValueEstimators
 
 from rrl.algorithms.calibration import derived
-from rrl.algorithms.networks import ActingNetwork, FirstOnly, last_layer, last_layer_name
+from rrl.algorithms.networks import ActingNetwork, FirstOnly, output_layer
 from rrl.algorithms.precision import single_precision
 from rrl.algorithms.readings import Readings, with_shapes
 from rrl.algorithms.reward_scale import RewardScale
@@ -105,23 +105,23 @@ class Agent(nn.Module, ABC):
 
     def make_actor(self, out_features: int) -> nn.Module:
         """Make the actor network, from features to ``[*batch, out_features]``."""
-        network = self.settings.network(
-            in_features=self.encoder.out_features, out_features=out_features
-        )
-        bound = self.settings.last_layer_bound
-        for parameter in last_layer(network).parameters():
+        size, bound = self.encoder.out_features, self.settings.last_layer_bound
+        network = self.settings.network(in_features=size, out_features=out_features)
+        self._action_layer = output_layer(network, size)
+        for parameter in network.get_submodule(self._action_layer).parameters():
             nn.init.uniform_(parameter, -bound, bound)
         return network.float()
 
     def make_critics(self, count: int) -> list[TensorDictModule]:
         """Make critics from what is read and the action to ``state_action_value`` [*batch, 1]."""
         read = self.readings.critic
-        size = read.encoder.out_features + self.action_size
+        sizes = read.encoder.out_features, self.action_size
         networks = [
-            self.settings.network(in_features=size, out_features=1).float() for _ in range(count)
+            self.settings.network(in_features=sum(sizes), out_features=1).float()
+            for _ in range(count)
         ]
         keys = [read.key, ACTION]
-        self._value_layer = last_layer_name(networks[0])
+        self._value_layer = output_layer(networks[0], *sizes)
         return [
             TensorDictModule(n, in_keys=keys, out_keys=["state_action_value"]) for n in networks
         ]

@@ -104,22 +104,43 @@ class FirstOnly(nn.Module):
         return self.network(first)
 
 
-def last_layer(network: nn.Module) -> Any:
-    """Return the last linear layer of a network.
+@torch.no_grad()
+def output_layer(network: nn.Module, *sizes: int) -> str:
+    """Return the name of a network's output layer, as in its ``state_dict``.
+
+    It is the last linear layer that makes the output zero by being zero itself. A network may
+    register its layers in any order.
+
+    Args:
+        network: Is called with values ``[n, size]``, one for each of ``sizes``; left as it is.
+        sizes: Of the inputs.
 
     Raises:
-        ValueError: If it has none.
+        ValueError: If it has no such layer.
     """
-    return network.get_submodule(last_layer_name(network))
+    one: Any = next(network.parameters(), torch.empty(0))
+    values = [torch.linspace(-2.0, 2.0, 8 * size).reshape(8, size).to(one) for size in sizes]
+    layers = [(n, m) for n, m in network.named_modules() if isinstance(m, (nn.Linear, Linear))]
+    learning = [module for module in network.modules() if module.training]
+    network.eval()  # or dropout would draw, and running means would move
+    with torch.random.fork_rng(devices=[]):
+        found = [name for name, layer in layers if not _without(layer, network, values).any()]
+    for module in learning:
+        module.training = True
+    if not found:
+        raise ValueError(
+            f"network: expected one linear output layer, without which the output is zero, got "
+            f"{network}; let a single layer give all of its outputs"
+        )
+    return found[-1]
 
 
-def last_layer_name(network: nn.Module) -> str:
-    """Return the name of the last linear layer of a network, as in its ``state_dict``.
-
-    Raises:
-        ValueError: If it has none.
-    """
-    names = [n for n, m in network.named_modules() if isinstance(m, (nn.Linear, Linear))]
-    if not names:
-        raise ValueError(f"network: expected a linear output layer, got {network}")
-    return names[-1]
+def _without(layer: nn.Module, network: nn.Module, values: Sequence[Tensor]) -> Tensor:
+    """Return the network's output where a layer is zero."""
+    kept = [parameter.clone() for parameter in layer.parameters()]
+    for parameter in layer.parameters():
+        parameter.zero_()
+    out = network(*values)
+    for parameter, value in zip(layer.parameters(), kept, strict=True):
+        parameter.copy_(value)
+    return out

@@ -22,7 +22,6 @@ from torchrl.objectives import SACLoss
 
 from rrl.algorithms.base import Agent
 from rrl.algorithms.ensemble import EnsembleSACLoss
-from rrl.algorithms.networks import last_layer
 from rrl.algorithms.precision import single_precision
 from rrl.algorithms.settings import AgentSettings
 from rrl.algorithms.td3 import EnsembleSettings
@@ -83,10 +82,11 @@ class SAC(Agent):
         super().__init__(inputs, action_size, **arguments)
         settings = self.settings
         network = self.make_actor(2 * action_size)
-        if (bias := last_layer(network).bias) is None:
+        layer: Any = network.get_submodule(self._action_layer)
+        if (bias := layer.bias) is None:
             raise ValueError(
                 "network: expected an output layer with a bias, which holds initial_std, got "
-                f"{last_layer(network)}; give it one, or use another algorithm"
+                f"{layer}; give it one, or use another algorithm"
             )
         with torch.no_grad():
             bias[action_size:] += math.log(settings.initial_std)

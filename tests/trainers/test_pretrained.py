@@ -7,7 +7,7 @@ import yaml
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
-from rrl.algorithms.networks import last_layer
+from agents import last_linear
 from rrl.trainers.configuration import build as assembly
 from rrl.trainers.configuration import checks
 from rrl.trainers.evaluation.episodes import write_results
@@ -153,7 +153,7 @@ def residual(tmp_path):
 
 def move(agent, by):
     with torch.no_grad():
-        last_layer(agent.policy).bias.add_(by)
+        last_linear(agent.policy).bias.add_(by)
 
 
 @pytest.mark.parametrize("accepted", [True, False])
@@ -186,7 +186,7 @@ def test_initial_weights_are_those_of_the_policy_handed_over(residual, tmp_path,
     with assembly.trainer(config, tmp_path / "next") as trainer:
         before = {k: v.clone() for k, v in trainer.agent.named_parameters()}
         start_from(trainer.agent, config)
-        bias = last_layer(trainer.agent.policy).bias.detach()
+        bias = last_linear(trainer.agent.policy).bias.detach()
         torch.testing.assert_close(bias, torch.full_like(bias, 0.3 if accepted else 0.0))
         if not accepted:
             assert all(torch.equal(v, before[k]) for k, v in trainer.agent.named_parameters())

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import torch
 
+from agents import last_linear
 from rrl.algorithms import TD3, mlp
-from rrl.algorithms.networks import last_layer
 from rrl.robot import RobotFault
 from rrl.trainers import AcceptanceSettings, EvaluationSettings
 from rrl.trainers.evaluation import rollout
@@ -32,7 +32,7 @@ EPISODES = EvaluationSettings(every=100, episodes=20, final_episodes=20, slots=1
 
 def say(trainer, x):
     """Have the learner's policy say ``x`` along the drift, whatever it reads."""
-    layer = last_layer(trainer.agent.policy)
+    layer = last_linear(trainer.agent.policy)
     with torch.no_grad():
         layer.weight.zero_()
         layer.bias.zero_()
