@@ -81,7 +81,8 @@ class RewardScale(nn.Module):
 
 
 def _shrink(loss: nn.Module, last_layer: str, share: float) -> None:
-    layer = f".{last_layer}".rstrip(".")  # a critic of one layer is its own last one
+    # The whole path: other layers' may end alike. A critic of one layer is its own last one.
+    layer = f"value_network_params.module.{last_layer}".rstrip(".")
     for name, values in loss.state_dict().items():
-        if "value_network_params" in name and name.rpartition(".")[0].endswith(layer):
+        if name.rpartition(".")[0].endswith(layer):
             values.mul_(share)

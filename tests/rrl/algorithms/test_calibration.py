@@ -1,12 +1,15 @@
 """What is derived from the environment and from first transitions, and what it is good for."""
 
+from functools import partial
+
 import pytest
 import torch
 from tensordict import TensorDict
+from torch import nn
 from torch.nn.functional import mse_loss
 
-from agents import BATCH, OBSERVATION, batches, learn, make_agent, parameters
-from rrl.algorithms import DDPG, SAC, TD3
+from agents import BATCH, OBSERVATION, Joining, batches, learn, make_agent, parameters
+from rrl.algorithms import DDPG, SAC, TD3, mlp
 from rrl.algorithms.calibration import (
     VALUE_SPREAD,
     discount,
@@ -127,8 +130,15 @@ def test_the_first_reward_decides_however_late_it_comes(size):
         assert float(learner.reward_scale) == pytest.approx(expected)
 
 
-def test_a_critic_of_one_layer_is_scaled_too():
-    agent = make_agent(reward_scale=None, last_layer_bound=0.1, hidden=[])
+def nested(in_features, out_features):
+    """Its last layer is called 1, and one of those before it 0.1."""
+    body = nn.Sequential(nn.Linear(in_features, 8), nn.Linear(8, 8), nn.ReLU())
+    return Joining(body, nn.Linear(8, out_features))
+
+
+@pytest.mark.parametrize("network", [partial(mlp, hidden=[]), nested])
+def test_the_last_layer_alone_is_scaled(network):
+    agent = make_agent(reward_scale=None, last_layer_bound=0.1, network=network)
     data = batches(64)
     agent.calibrate(data.reshape(-1))
     values = _values(agent, data)
