@@ -94,15 +94,9 @@ class Intervention(ActionTransform):
         Raises:
             RuntimeError: If none of the same action stands behind it in the environment's list.
         """
-        behind = False
-        for transform in () if self.container is None else self.container.transform.modules():
-            if (
-                behind
-                and isinstance(transform, ResidualAction)
-                and self._action_key in transform.in_keys_inv
-            ):
+        for transform in self._later():
+            if isinstance(transform, ResidualAction) and self._action_key in transform.in_keys_inv:
                 return transform
-            behind = behind or transform is self
         raise RuntimeError(
             f"Intervention: expected a ResidualAction of {self._action_key!r} behind it in the "
             "same list, got none; Compose(Intervention(...), ResidualAction(...))"

@@ -11,12 +11,13 @@ from tensordict import NestedKey, TensorDictBase, unravel_key
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.data import Bounded, Composite
+from torchrl.envs.transforms import Transform
 
 from rrl.checks import check_length, per_dimension, require
 from rrl.controllers.base import Controller
 from rrl.controllers.policy import PolicyController
 from rrl.keys import ACTION, BASE_ACTION
-from rrl.transforms.base import ActionLimits, ActionTransform, Mask, Memory, sibling
+from rrl.transforms.base import CASTS, ActionLimits, ActionTransform, Mask, Memory, sibling
 
 _REMEDY = "; reset() and step() write it: give step() what they return, not an action alone"
 
@@ -26,8 +27,8 @@ class ResidualAction(ActionTransform):
 
     Two passes. With every observation, at reset and after a step, the controller runs on what the
     transforms before this one made of the observation, and its action is written to
-    ``base_action_key``, where actor, critic and logger can read it. On the way back to the
-    environment the policy's action is added,
+    ``base_action_key``, where actor, critic and logger can read it. What normalizes it for them
+    writes another entry, because on the way back to the environment the policy's action is added,
 
         u = clip(base_action + scale * half_range * action, low, high),
 
@@ -56,8 +57,8 @@ class ResidualAction(ActionTransform):
             does not have the action's shape.
         KeyError: If the controller does not write one of the two keys, a key that it reads is not
             among the observations, or ``base_action`` is missing from a step's input.
-        RuntimeError: If actions pass the inverse without an environment, as in
-            ``ReplayBuffer.extend``.
+        RuntimeError: If a later transform changes ``base_action``, or actions pass the inverse
+            without an environment, as in ``ReplayBuffer.extend``.
     """
 
     keeps_units = False
@@ -88,6 +89,22 @@ class ResidualAction(ActionTransform):
         """
         self.scale = per_dimension("scale", scale, minimum=0.0)
         self._span: Tensor | None = None  # the scale in action units
+
+    def check_later(self, transform: Transform) -> None:
+        """Raise an error if a later transform changes what is executed.
+
+        Raises:
+            RuntimeError: If it writes ``base_action`` in its place, or hands the action on twice.
+        """
+        super().check_later(transform)
+        changes = self.base_action_key in map(unravel_key, transform.out_keys or ())
+        # Of two that write the same new entry the specs tell.
+        if changes and not isinstance(transform, (*CASTS, ResidualAction)):
+            raise RuntimeError(
+                f"{self.base_action_key!r}: expected what the controller said, which is executed, "
+                f"got a {type(transform).__name__} that changes it for the policy; give that one "
+                "another entry to write (out_keys)"
+            )
 
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
         if self._limits is None and self.container is not None:

@@ -12,7 +12,13 @@ from tensordict.nn import TensorDictModule
 from torch import nn
 from torchrl.data import Bounded
 from torchrl.envs import GymEnv, StepCounter, TransformedEnv, check_env_specs
-from torchrl.envs.transforms import Compose, ObservationNorm
+from torchrl.envs.transforms import (
+    Compose,
+    DTypeCastTransform,
+    FrameSkipTransform,
+    ObservationNorm,
+    VecNormV2,
+)
 
 from rrl.controllers import PIDController, ReplayController, ZeroController
 from rrl.transforms import ControlNoise, ResidualAction
@@ -137,6 +143,37 @@ def test_a_later_normaliser_does_not_reach_the_controller() -> None:
     for one, other in zip(plain, normalised, strict=True):
         assert torch.equal(one["base_action"], other["base_action"])
         assert not torch.equal(one[POSITION], other[POSITION])
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        partial(ObservationNorm, loc=0.3, scale=5.0, in_keys=["base_action"]),
+        partial(VecNormV2, in_keys=[POSITION, "base_action"]),
+    ],
+)
+def test_a_normaliser_may_not_change_what_is_executed(make) -> None:
+    env = TransformedEnv(PointMass(), Compose(ResidualAction(proportional()), make()))
+    with pytest.raises(RuntimeError, match="'base_action': expected what the controller said"):
+        env.reset()
+
+
+def test_a_normaliser_may_show_the_base_action_as_another_entry() -> None:
+    norm = ObservationNorm(loc=0.3, scale=5.0, in_keys=["base_action"], out_keys=["seen"])
+    casts = DTypeCastTransform(torch.float32, torch.float64, in_keys=["base_action"])
+    later = Compose(ResidualAction(proportional(), scale=0.0), norm, casts)
+    env = TransformedEnv(Recorder(), later)
+    tensordict = env.step(env.reset().set("action", torch.ones(2)))
+    assert torch.equal(env.base_env.executed[-1].double(), tensordict["base_action"])
+    assert not torch.equal(tensordict["seen"], tensordict["base_action"])
+
+
+@pytest.mark.parametrize("transform", [ResidualAction(proportional()), ControlNoise(sigma=0.1)])
+def test_frames_are_skipped_in_front_of_whatever_changes_the_action(transform) -> None:
+    TransformedEnv(PointMass(), Compose(FrameSkipTransform(2), transform.clone())).rollout(2)
+    behind = Compose(transform.clone(), FrameSkipTransform(2))
+    with pytest.raises(RuntimeError, match="put the FrameSkipTransform first"):
+        TransformedEnv(PointMass(), behind).rollout(2)
 
 
 def test_an_earlier_normaliser_does() -> None:
