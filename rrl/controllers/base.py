@@ -154,8 +154,13 @@ class StatefulController(Controller):
         self.state, self._fresh = state["state"], state["fresh"]
 
 
+def floating(value: Tensor) -> Tensor:
+    """Return whole numbers in the default type, where factors of less than 1 do not count as 0."""
+    return value if value.is_floating_point() else value.to(torch.get_default_dtype())
+
+
 def clipped(action: Tensor, limit: Tensor | None) -> Tensor:
-    """Return an action of at most this magnitude; None: as it is."""
+    """Return an action of floating point of at most this magnitude; None: as it is."""
     if limit is None:
         return action
     limit = limit.to(action.dtype)

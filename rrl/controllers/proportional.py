@@ -8,7 +8,7 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 
 from rrl.checks import check_length, check_lengths, per_dimension
-from rrl.controllers.base import Controller, clipped
+from rrl.controllers.base import Controller, clipped, floating
 from rrl.keys import BASE_ACTION
 
 
@@ -55,7 +55,7 @@ class ProportionalController(Controller):
 
     def error(self, tensordict: TensorDictBase) -> Tensor:
         """Return x_g - x, ``[*batch, n]`` [m]."""
-        position, goal = (self.read(tensordict, key) for key in self.in_keys)
+        position, goal = (floating(self.read(tensordict, key)) for key in self.in_keys)
         if position.shape != goal.shape:
             raise ValueError(
                 f"{self.in_keys[1]!r}: expected the shape of {self.in_keys[0]!r}, "

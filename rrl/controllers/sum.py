@@ -8,7 +8,7 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
 
 from rrl.checks import check, per_dimension
-from rrl.controllers.base import Controller, clipped
+from rrl.controllers.base import Controller, clipped, floating
 from rrl.keys import BASE_ACTION
 
 
@@ -58,7 +58,7 @@ class SumController(Controller):
         total: Tensor | None = None
         for number, controller in enumerate(self.controllers):
             assert isinstance(controller, Controller)
-            action = controller.act(tensordict)
+            action = floating(controller.act(tensordict))
             action = action * getattr(self, f"_weight{number}").to(action.dtype)
             total = action if total is None else total + action
         assert total is not None

@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from rrl.checks import check, check_share, check_whole
-from rrl.controllers.base import Controller, State, StatefulController
+from rrl.controllers.base import Controller, State, StatefulController, floating
 from rrl.keys import OPERATOR_ACTION, TAKEN_OVER
 from rrl.slot_masks import shaped_like
 from rrl.slot_random import Seeded, SlotGenerators
@@ -94,6 +94,7 @@ class ScriptedOperator(Seeded, StatefulController):
         if self.noise:
             shape = command.shape[tensordict.batch_dims :]
             drawn = self._generators.normal(tensordict.batch_size, shape)
+            command = floating(command)
             command = command + self.noise * drawn.to(command)
         tensordict.set(OPERATOR_ACTION, command)
         taken_over = shaped_like(command, taken_over).expand(*command.shape[:-1], 1)

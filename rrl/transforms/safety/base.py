@@ -91,12 +91,17 @@ class SafetyLimit(ActionTransform):
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
         action = self.start(td)
         flag = torch.zeros_like(action[..., :1], dtype=torch.bool)
-        return {"measured": self.measure(td, action).clone(), "flag": flag}
+        return {"measured": self._measured(td, action), "flag": flag}
 
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
-        # A copy: an environment may change its own tensors in place.
-        measured = self.measure(next_td, self.executed(td)).clone()
+        measured = self._measured(next_td, self.executed(td))
         return {"measured": measured, "flag": td.get(self._flag_key)}
+
+    def _measured(self, tensordict: TensorDictBase, action: Tensor) -> Tensor:
+        measured = self.measure(tensordict, action)
+        if not measured.is_floating_point():  # ticks of an encoder: limits are no whole numbers
+            return measured.to(action.dtype)
+        return measured.clone()  # an environment may change its own tensors in place
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the flag that says whether the last action was changed."""

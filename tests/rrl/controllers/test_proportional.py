@@ -6,7 +6,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from rrl.controllers import ProportionalController
+from rrl.controllers import PIDController, ProportionalController
 
 
 def state(position: list[float], goal: list[float]) -> TensorDict:
@@ -28,6 +28,27 @@ def test_gain_and_clip_for_each_dimension() -> None:
     assert torch.allclose(action, torch.tensor([[0.5, 1.0]]))
     action = controller.act(state([0.0, 0.0], [-1.0, -1.0]))
     assert torch.allclose(action, torch.tensor([[-0.5, -2.0]]))
+
+
+@pytest.mark.parametrize(
+    "controller",
+    [
+        ProportionalController(gain=0.5, clip=None),
+        ProportionalController(gain=2.0, clip=0.8),
+        PIDController(gain=0.5, integral_gain=0.2, derivative_gain=0.01, clip=None),
+    ],
+)
+@pytest.mark.parametrize("dtype", [torch.int64, torch.uint8])
+def test_a_position_may_be_a_whole_number(controller, dtype) -> None:
+    positions = torch.tensor([[[0, 7]], [[1, 5]], [[4, 1]]]), torch.tensor([[4, 0]])
+
+    def actions(*values):
+        controller.reset()
+        tds = [TensorDict({"end_effector_position": p, "goal": values[1]}, [1]) for p in values[0]]
+        return torch.stack([controller.act(td) for td in tds])
+
+    whole = actions(*(value.to(dtype) for value in positions))
+    assert torch.equal(whole, actions(*(value.float() for value in positions)))
 
 
 def test_no_clipping() -> None:

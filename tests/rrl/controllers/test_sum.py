@@ -8,6 +8,7 @@ from tensordict import TensorDict
 from torch import nn
 
 from rrl.controllers import (
+    FunctionController,
     PIDController,
     ProportionalController,
     ReplayController,
@@ -42,6 +43,15 @@ def test_weights_and_clip() -> None:
 def test_one_controller_scaled() -> None:
     controller = SumController([constant(1.0, -2.0)], weights=[-0.5])
     assert torch.allclose(controller.act(data())[0], torch.tensor([-0.5, 1.0]))
+
+
+@pytest.mark.parametrize("settings", [{"weights": [0.5]}, {"clip": 0.5}])
+def test_whole_numbers_are_weighted_and_clipped_as_others(settings) -> None:
+    def act(*said):
+        return SumController([FunctionController(lambda *_: said)], **settings).act(seen)[0]
+
+    seen = TensorDict({"observation": torch.zeros(2, 1)}, [2])
+    assert act(1, 0, -1).tolist() == act(1.0, 0.0, -1.0).tolist() == [0.5, 0.0, -0.5]
 
 
 def test_sums_nest_and_members_are_reset_by_mask() -> None:

@@ -29,6 +29,14 @@ def test_it_takes_over_a_share_of_the_episodes_for_some_steps() -> None:
     assert torch.equal(taken[:, 0], taken[:, 2]) and not taken[:, 3:].any()
 
 
+def test_commands_of_whole_numbers_are_noisy_as_others() -> None:
+    def make() -> FunctionController:
+        return FunctionController(lambda position: [1, 0], [POSITION])
+
+    said = watch(ScriptedOperator(make, noise=0.3, seed=0), 500, 1)["operator_action"]
+    assert said.std(0).flatten().tolist() == pytest.approx([0.3, 0.3], abs=0.03)
+
+
 def test_every_episode_is_drawn_anew() -> None:
     operator, env = ScriptedOperator(proportional(), share=0.5, seed=3), PointMass((1,))
     taken = []

@@ -13,6 +13,7 @@ from torchrl.envs.transforms import (
     ActionScaling,
     Compose,
     DTypeCastTransform,
+    ObservationNorm,
     RenameTransform,
 )
 from torchrl.envs.utils import step_mdp
@@ -86,6 +87,26 @@ def test_a_measurement_of_another_precision_leaves_the_actions_as_it_is() -> Non
     limit = WorkspaceLimit(**BOX, unit=STEP_SIZE)
     records = drive(TransformedEnv(Single((4,)), Compose(cast, limit)), random_actions(8, 4, 2))
     assert records[-1][POSITION].dtype == torch.float64
+
+
+@pytest.mark.parametrize(
+    "limit",
+    [
+        WorkspaceLimit(low=-10.5, high=10.5, unit=100 * STEP_SIZE),
+        WorkspaceLimit(low=-10.0, high=10.0, unit=0.5),
+        ForceLimit(limit=10.0, stiffness=0.5, force_key=POSITION, axes=[0, 1], onset=0.5),
+    ],
+)
+def test_a_measurement_of_whole_numbers_counts_as_others(limit) -> None:
+    def records(*casts):
+        ticks = ObservationNorm(loc=0.0, scale=100.0, in_keys=[POSITION])
+        whole = DTypeCastTransform(torch.float32, torch.int64, in_keys=[POSITION])
+        chain = Compose(ticks, whole, *casts, limit.clone())
+        env = TransformedEnv(PointMass((4,), drift=0.0), chain)
+        return torch.stack([td[POSITION] for td in drive(env, random_actions(30, 4, 2))])
+
+    back = DTypeCastTransform(torch.int64, torch.float32, in_keys=[POSITION])
+    assert torch.equal(records().float(), records(back))
 
 
 def test_size_and_change_of_what_is_executed() -> None:
