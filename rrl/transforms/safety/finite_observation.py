@@ -61,12 +61,11 @@ class FiniteObservation(SlotTransform):
         return self._memory(values, lost, flag, blind=flag)
 
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
-        among = mask
-        if self.resets_itself():  # what an episode that has started shows is a reset's
-            goes_on = ~any_done(next_td)
-            among = goes_on if mask is None else goes_on & mask
+        # What an episode that has started shows is a reset's; the reward is the last step's.
+        started = any_done(next_td) if self.resets_itself() else None
         values = self._floats(next_td, (*self.in_keys, REWARD))
-        flag = _any_of(self._replace(next_td, values, among), next_td) | self.recall("blind")
+        lost = self._replace(next_td, values, mask, started)
+        flag = _any_of(lost, next_td) | self.recall("blind")
         if mask is not None:
             flag = flag & mask.unsqueeze(-1)
         if flag.any():
@@ -77,6 +76,14 @@ class FiniteObservation(SlotTransform):
         values.pop(REWARD, None)
         return self._memory(values, {}, flag, blind=torch.zeros_like(flag))
 
+    def _advance_or_start(
+        self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask, started: Tensor
+    ) -> Memory:
+        memory = self._advance(td, next_td, mask)
+        first = self._first(next_td, started)
+        flag = first["flag"] | memory["flag"]  # of the last step, and of what it has started
+        return merge(started, first | {"flag": flag}, memory)
+
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         if self.memory and self.memory["blind"].any():
             present = [key for key in self.in_keys if key in tensordict.keys(True, True)]
@@ -86,9 +93,19 @@ class FiniteObservation(SlotTransform):
         return tensordict
 
     def _replace(
-        self, td: TensorDictBase, values: dict[NestedKey, Tensor], mask: Mask
+        self,
+        td: TensorDictBase,
+        values: dict[NestedKey, Tensor],
+        mask: Mask,
+        started: Tensor | None = None,
     ) -> dict[NestedKey, Tensor]:
         """Put what was known last in the place of what is not finite, in ``td`` and ``values``.
+
+        Args:
+            td: What is corrected.
+            values: Of its entries.
+            mask: Slots that count.
+            started: Slots of which the reward alone counts, bool ``[*batch]``; None: none.
 
         Returns:
             Of every entry with such a number, in which slots, bool ``[*batch]``.
@@ -99,6 +116,7 @@ class FiniteObservation(SlotTransform):
         for key, value in values.items():
             slots = ~value.isfinite().reshape(*td.batch_size, -1).all(-1)
             slots = slots if mask is None else slots & mask
+            slots = slots if started is None or key == REWARD else slots & ~started
             if slots.any():
                 lost[key] = slots
                 kept = self.memory.get(f"known {key}", torch.zeros_like(value))

@@ -168,6 +168,28 @@ def test_an_environment_that_resets_itself_goes_on():
             assert torch.equal(td["goal"][0], before[0])
 
 
+class EndsWithoutReward(ResetsItself):
+    """Gives no reward for an episode's last step, as physics that diverges does, in one slot."""
+
+    def _step(self, tensordict):
+        out = super()._step(tensordict)
+        lost = out["done"] & (torch.arange(2) == 1).unsqueeze(-1)
+        return out.set("reward", torch.where(lost, torch.nan, out["reward"]))
+
+
+def test_the_last_reward_counts_where_the_environment_resets_itself():
+    finite = FiniteObservation([POSITION, "goal"], patience=2)
+    env = TransformedEnv(EndsWithoutReward([2]), finite)
+    td = env.reset()
+    for _ in range(2 * EPISODE_STEPS):
+        out, td = env.step_and_maybe_reset(env.rand_action(td))
+        ends, reward = bool(out["next", "done"].all()), out["next", "reward"].flatten()
+        assert reward.isfinite().all() and (reward[1] == 0) == ends and reward[0] != 0
+        assert td["safety", "observation"].flatten().tolist() == [False, ends]  # out hides it
+    with pytest.raises(FloatingPointError, match=r"reward: expected finite numbers, .* in 3 steps"):
+        env.rollout(EPISODE_STEPS, auto_reset=False, tensordict=td, break_when_any_done=False)
+
+
 def test_what_was_borne_is_not_forgotten_with_a_state():
     env = TransformedEnv(BlindAtReset([1]), FiniteObservation(["goal"], patience=1))
     env.reset()
