@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import count
 from typing import Any
 
 import torch
@@ -18,6 +19,9 @@ from rrl.slot_masks import merge
 
 State = dict[str, Any]
 """Tensors ``[*batch, ...]`` by name; dictionaries may nest."""
+
+
+_CLAIMS = count(1)
 
 
 class Controller(TensorDictModuleBase):
@@ -70,9 +74,37 @@ class Controller(TensorDictModuleBase):
             if isinstance(module, Controller) and module is not self:
                 module.fit(shape)
 
+    def claim(self) -> int:
+        """Give the memory to whoever drives the controller from now on.
+
+        Returns:
+            What its driver hands to :meth:`check_claim`.
+        """
+        claim = next(_CLAIMS)
+        for module in self.stateful():
+            module.claimed = claim
+        return claim
+
+    def check_claim(self, claim: int | None) -> None:
+        """Raise an error if somebody else drives the controller by now.
+
+        Args:
+            claim: What :meth:`claim` has returned; None: nothing was, as where a state was loaded.
+
+        Raises:
+            RuntimeError: If somebody has claimed it since; its memory is of other episodes.
+        """
+        for module in () if claim is None else self.stateful():
+            if module.claimed != claim:
+                raise RuntimeError(
+                    f"{module.called()}: expected one environment or operator, whose episodes it "
+                    "remembers, got a second one that has begun episodes since; make a controller "
+                    "for each"
+                )
+
     def reset(self, mask: Tensor | None = None) -> None:
         """Start a new episode where ``mask`` (bool ``[*batch]``) is True; None: in all slots."""
-        for module in self._stateful():
+        for module in self.stateful():
             module.reset_state(mask)
 
     @contextmanager
@@ -81,12 +113,13 @@ class Controller(TensorDictModuleBase):
         if mask is None:
             yield
             return
-        before = [(module, module.memory()) for module in self._stateful()]
+        before = [(module, module.memory()) for module in self.stateful()]
         yield
         for module, memory in before:
             module.put_back(memory, ~mask)
 
-    def _stateful(self) -> list[StatefulController]:
+    def stateful(self) -> list[StatefulController]:
+        """Return the controllers with memory in it."""
         return [module for module in self.modules() if isinstance(module, StatefulController)]
 
 
@@ -96,8 +129,11 @@ class StatefulController(Controller):
     :meth:`act` reads the memory with :meth:`state_for` and assigns the new one to ``state``. A slot
     that was reset finds its :meth:`initial_state` there. ``state`` is always replaced, never
     changed in place, so that a reference to an old state stays valid. It is part of
-    ``state_dict``.
+    ``state_dict``. Two environments, or an operator and a residual, need a controller each.
     """
+
+    claimed: int | None = None
+    """By whom, see :meth:`claim`. A number, which copies and other processes keep."""
 
     def __init__(self, in_keys: Sequence[NestedKey], out_key: NestedKey = BASE_ACTION) -> None:
         super().__init__(in_keys, out_key)

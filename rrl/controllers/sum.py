@@ -26,8 +26,8 @@ class SumController(Controller):
 
     Raises:
         TypeError: If a member is not a controller.
-        ValueError: If there is no controller, the number of weights differs, a weight is not
-            finite, or ``clip`` is not positive.
+        ValueError: If there is no controller, one with a memory comes twice, the number of weights
+            differs, a weight is not finite, or ``clip`` is not positive.
     """
 
     def __init__(
@@ -43,6 +43,12 @@ class SumController(Controller):
             raise TypeError(
                 f"controllers: expected Controllers, got {wrong}; wrap a policy in a "
                 "PolicyController"
+            )
+        stateful = [id(part) for c in members for part in c.stateful()]
+        if len(set(stateful)) < len(stateful):
+            raise ValueError(
+                "controllers: expected each one with a memory once, got one of them twice; make "
+                "another"
             )
         factors = [1.0] * len(members) if weights is None else list(weights)
         check("weights", weights, f"{len(members)}, one a controller", len(factors) == len(members))

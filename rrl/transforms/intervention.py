@@ -67,6 +67,7 @@ class Intervention(ActionTransform):
     """
 
     written = ("active", "exceeds", "action")
+    _claim: int | None = None  # on the operator's memory
 
     def __init__(
         self,
@@ -146,6 +147,8 @@ class Intervention(ActionTransform):
                 "Intervention: expected an environment that is reset from outside, got one that "
                 "resets itself, which hides what the last step of an episode wrote"
             )
+        if mask is None:
+            self._claim = self.operator.claim()
         self.operator.reset(mask)
         asked = self._ask(td, mask)
         nothing = torch.zeros_like(self.limits().low)
@@ -163,6 +166,7 @@ class Intervention(ActionTransform):
     def _ask(self, tensordict: TensorDictBase, mask: Mask) -> Memory:
         """Return whether the operator has taken over, and what it commands."""
         operator, limits = self.operator, self.limits()
+        operator.check_claim(self._claim)
         with operator.only(mask):
             said = operator(tensordict.copy())
         action = require(operator, said, OPERATOR_ACTION).to(limits.dtype)

@@ -62,6 +62,7 @@ class ResidualAction(ActionTransform):
     """
 
     keeps_units = False
+    _claim: int | None = None  # on the controller's memory
 
     def __init__(
         self,
@@ -109,6 +110,8 @@ class ResidualAction(ActionTransform):
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
         if self._limits is None and self.container is not None:
             self.limits()  # tells the controller the action's size
+        if mask is None:
+            self._claim = self.controller.claim()
         self.controller.reset(mask)
         return self._base_action(td, mask)
 
@@ -128,6 +131,7 @@ class ResidualAction(ActionTransform):
 
     def _base_action(self, tensordict: TensorDictBase, mask: Mask) -> Memory:
         controller, limits = self.controller, self._limits
+        controller.check_claim(self._claim)
         with controller.only(mask):
             action = controller.act(tensordict)
         if not isinstance(action, Tensor):

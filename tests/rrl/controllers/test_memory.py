@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from functools import partial
 
 import pytest
 import torch
 from tensordict import TensorDict
-from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, TransformedEnv
+from torchrl.envs import Compose, EnvBase, ParallelEnv, SerialEnv, TransformedEnv
 
 from rrl.controllers import Controller, StatefulController, SumController
-from rrl.transforms import ResidualAction
+from rrl.interventions import ScriptedOperator
+from rrl.transforms import Intervention, ResidualAction
 from toy_envs import PointMass, ResetsItself
 from transform_cases import Plan
 
@@ -68,6 +71,47 @@ def test_one_slot_of_three_reset_twice_in_a_row() -> None:
     env.reset(tensordict.exclude("reward").set("_reset", mask))
     steps = env.transform.controller.controllers[0].state["episode_steps"]
     assert steps.tolist() == [2, 1, 2]
+
+
+def driven_by(*controllers: Controller) -> list[EnvBase]:
+    return [TransformedEnv(PointMass([2]), ResidualAction(c, scale=0.0)) for c in controllers]
+
+
+def operated(controller: Controller, operator: Controller) -> EnvBase:
+    intervention = Intervention(ScriptedOperator(operator, share=0.0), step_limit=1.0)
+    return TransformedEnv(PointMass([2]), Compose(intervention, ResidualAction(controller)))
+
+
+def test_two_environments_at_once_need_a_controller_each() -> None:
+    plan = Plan()
+    one, other = driven_by(plan, plan)
+    tensordict = one.rollout(2)[..., -1]["next"].exclude("reward")
+    other.rollout(2)
+    with pytest.raises(
+        RuntimeError, match=r"Plan: expected one environment or operator, .* second"
+    ):
+        one.step(one.rand_action(tensordict))
+    one.rollout(2)  # one after the other they may share it
+    other.rollout(2)
+
+
+def test_operator_and_residual_need_a_controller_each() -> None:
+    operated(Plan(), Plan()).rollout(2)
+    plan = Plan()
+    with pytest.raises(RuntimeError, match="make a controller for each"):
+        operated(plan, plan).rollout(2)
+    with pytest.raises(ValueError, match="expected each one with a memory once"):
+        SumController([plan, SumController([plan])])
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_goes_on_in_the_middle_of_an_episode(copied) -> None:
+    env = operated(Plan(), Plan())
+    tensordict = env.rollout(2)[..., -1]["next"].exclude("reward")
+    tensordict["action"] = torch.ones(2, 2)
+    twin = copied(env)
+    steps = [one.step(tensordict.clone())["next", "base_action"] for one in (env, twin)]
+    assert torch.equal(*steps)
 
 
 class CountDown(StatefulController):
