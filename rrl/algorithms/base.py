@@ -15,7 +15,7 @@ from torchrl.objectives import LossModule, SoftUpdate
 from torchrl.objectives.utils import ValueEstimators
 
 from rrl.algorithms.calibration import derived
-from rrl.algorithms.networks import ActingNetwork, FirstOnly, output_layer
+from rrl.algorithms.networks import ActingNetwork, FirstOnly, learned, once_each, output_layer
 from rrl.algorithms.precision import single_precision
 from rrl.algorithms.readings import Readings, with_shapes
 from rrl.algorithms.reward_scale import RewardScale
@@ -147,8 +147,7 @@ class Agent(nn.Module, ABC):
         if self.settings.value_bounds:
             bound_values(self.loss, self.bounded_targets)
         self.soft_update = SoftUpdate(self.loss, tau=self.settings.tau)
-        self._critic_params = list(critic_params.values(True, True))
-        self._actor_params = list(actor_params.values(True, True))
+        self._critic_params, self._actor_params = map(learned, (critic_params, actor_params))
         for reading in self.readings:
             pupils = self._actor_params if reading.taught_by_policy else self._critic_params
             pupils.extend(reading.learned)
@@ -282,6 +281,9 @@ class Agent(nn.Module, ABC):
             loss.actor_network_params.to_module(loss.actor_network),
         ):
             return loss.actor_network(acting)[ACTION]
+
+    def _apply(self, fn: Any, recurse: bool = True) -> Agent:
+        return super()._apply(once_each(fn), recurse)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Agent:
         return twin(self)

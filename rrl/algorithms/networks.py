@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor, nn
 
 NetworkFactory = Callable[..., nn.Module]
@@ -86,6 +87,31 @@ class ActingNetwork(nn.Module):
         device = next(self.network.parameters()).device
         features = self.encoder(*(value.to(device) for value in values))
         return self.network(features).to(values[0].device)
+
+
+def learned(params: TensorDictBase) -> list[Tensor]:
+    """Return what is learned of a network's tensors: no buffers, and nothing that is frozen."""
+    return [value for value in params.values(True, True) if value.requires_grad]
+
+
+def once_each(convert: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Tensor]:
+    """Return the same conversion that gives what shares memory the same result.
+
+    A module that is moved to another device makes a new tensor of every buffer. What a network that
+    learns and the one that acts have in common, such as a running mean, would fall apart.
+
+    Args:
+        convert: From a module's tensor to another one.
+    """
+    converted: dict[object, tuple[Tensor, Tensor]] = {}
+
+    def once(tensor: Tensor) -> Tensor:
+        memory = tensor.data_ptr() or id(tensor), tensor.shape, tensor.stride(), tensor.dtype
+        if memory not in converted:
+            converted[memory] = tensor, convert(tensor)  # kept, so that nobody gets its memory
+        return converted[memory][1]
+
+    return once
 
 
 class FirstOnly(nn.Module):

@@ -7,13 +7,11 @@ import pytest
 import torch
 from scipy import stats
 from tensordict import TensorDict
-from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import AdditiveGaussianModule, TanhNormal
 
 from agents import ACTION, BATCH, OBSERVATION, batches, critics, learn, make_agent, parameters
 from rrl.algorithms import DDPG, SAC, TD3, mlp, no_exploration
-from rrl.algorithms.networks import output_layer
 from rrl.controllers import ProportionalController
 from rrl.keys import OBSERVATION as FEATURES
 from rrl.trainers import EnvironmentFactory, Trainer, TrainerSettings
@@ -117,40 +115,6 @@ def test_what_is_drawn_in_an_update_changes_it(algorithm, draws):
         agent.update(batches(4))
     moved = any(not torch.equal(v, parameters(other)[n]) for n, v in parameters(one).items())
     assert moved is draws
-
-
-class HeadFirst(nn.Module):
-    """Registers its output layer before the others, and drops out."""
-
-    def __init__(self, in_features, out_features):
-        super().__init__()
-        self.head = nn.Linear(8, out_features)
-        self.body = nn.Sequential(nn.Linear(in_features, 8), nn.ReLU(), nn.Dropout(0.5))
-
-    def forward(self, *inputs):
-        return self.head(self.body(torch.cat(inputs, -1)))
-
-
-@each_algorithm
-@pytest.mark.parametrize("network", [mlp, HeadFirst])
-def test_an_untrained_residual_is_exactly_zero(algorithm, network):
-    agent = make_agent(algorithm, network=network)
-    td = TensorDict({"observation": torch.randn(2, OBSERVATION)}, [2])
-    with set_exploration_type(ExplorationType.DETERMINISTIC):
-        assert torch.equal(agent.policy(td)["action"], torch.zeros(2, ACTION))
-    if algorithm is SAC:
-        torch.testing.assert_close(td["_scale"], torch.full((2, ACTION), 0.3))
-
-
-@pytest.mark.parametrize("network", [mlp, HeadFirst])
-def test_nothing_is_drawn_to_find_the_output_layer(network):
-    torch.manual_seed(0)
-    made = network(3, 2)
-    state, weights = torch.get_rng_state(), copy.deepcopy(made.state_dict())
-    assert output_layer(made, 3) == {mlp: "4", HeadFirst: "head"}[network]
-    assert torch.equal(torch.get_rng_state(), state)
-    assert all(torch.equal(value, weights[key]) for key, value in made.state_dict().items())
-    assert all(module.training for module in made.modules())
 
 
 @each_algorithm

@@ -4,7 +4,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-import torch
 from torch import nn
 
 from agents import ACTION, BATCH, OBSERVATION, Joining, batches, learn, make_agent
@@ -48,27 +47,6 @@ def test_an_output_layer_needs_a_bias_for_a_standard_deviation_alone(algorithm):
             make()
     else:
         assert learn(make(), 2)["loss_actor"].isfinite()
-
-
-class TwoHeads(nn.Module):
-    """A layer for each half of the output."""
-
-    def __init__(self, in_features, out_features):
-        super().__init__()
-        self.body = nn.Linear(in_features, 8)
-        self.heads = nn.ModuleList(
-            nn.Linear(8, size) for size in (out_features // 2, -(-out_features // 2)) if size
-        )
-
-    def forward(self, *inputs):
-        hidden = self.body(torch.cat(inputs, -1)).relu()
-        return torch.cat([head(hidden) for head in self.heads], -1)
-
-
-@each_algorithm
-def test_an_output_of_several_layers_is_refused(algorithm):
-    with pytest.raises(ValueError, match="network: expected one linear output layer"):
-        make_agent(algorithm, network=TwoHeads)
 
 
 @pytest.mark.parametrize(
