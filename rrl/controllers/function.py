@@ -24,9 +24,10 @@ class FunctionController(StatefulController):
     A function is called once for each slot with the values of ``in_keys``, without batch
     dimensions. An object that has ``reset()`` has a memory: every slot gets a copy of its own,
     whose ``reset()`` is called when an episode starts. Its memory is part of ``state_dict``: what
-    its own ``state_dict()`` says, which ``load_state_dict()`` takes back, else its attributes.
-    These may be tensors, arrays, numbers, text, lists, tuples, dictionaries, deques and
-    ``numpy.random.Generator``. No gradient passes it.
+    its own ``state_dict()`` says, which ``load_state_dict()`` takes back, else its attributes; of a
+    ``torch.nn.Module`` both. Attributes may be tensors, arrays, numbers, text, lists, tuples,
+    dictionaries, deques and ``numpy.random.Generator``. No gradient passes it, and one that
+    remembers is called without (``torch.no_grad``).
 
     Args:
         function: A callable, or an object with ``act``; a class, or a partial of one, is called
@@ -183,7 +184,9 @@ class FunctionController(StatefulController):
     def _call(self, function: Any, values: Sequence[Tensor]) -> Tensor:
         given = [_array(value) if self._numpy else value for value in values]
         try:
-            said = getattr(function, "act", function)(*given)
+            # What it remembers is copied, and must not hold on to all steps before.
+            with torch.set_grad_enabled(torch.is_grad_enabled() and not self.remembers):
+                said = getattr(function, "act", function)(*given)
         except Exception as error:
             _raise_named(self.called(), error)
         try:

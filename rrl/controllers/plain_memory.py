@@ -5,14 +5,15 @@ from __future__ import annotations
 import copy
 from collections import deque
 from collections.abc import Mapping
+from contextlib import suppress
 from types import FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-_DEQUE, _GENERATOR = "__deque__", "__generator__"
+_ATTRIBUTES, _DEQUE, _GENERATOR = "__attributes__", "__deque__", "__generator__"
 _LEAVES = (type(None), bool, int, float, str, bytes, torch.Size)
 _SHARED = (FunctionType, ModuleType, type, np.ufunc)
 """What copies share and nothing changes: left out while it is what was given."""
@@ -20,6 +21,9 @@ _SHARED = (FunctionType, ModuleType, type, np.ufunc)
 
 def remembered(name: str, thing: Any, given: Any) -> Any:
     """Return what an object remembers: what its ``state_dict()`` says, else its attributes.
+
+    A torch module's ``state_dict()`` says weights and buffers; beside them it may hold a hidden
+    state in an attribute. Of its attributes all that can be saved is.
 
     Args:
         name: What messages call it.
@@ -32,7 +36,10 @@ def remembered(name: str, thing: Any, given: Any) -> Any:
     if _has_own_memory(thing):
         state = thing.state_dict()
         state = dict(state) if isinstance(state, Mapping) else state
-        return _plain(state, f"controller {name}: state_dict()", "let state_dict() leave it out")
+        plain = _plain(state, f"controller {name}: state_dict()", "let state_dict() leave it out")
+        if attributes := _attributes(thing):
+            plain[_ATTRIBUTES] = attributes
+        return plain
     remedy = "give it state_dict() and load_state_dict()"
     return {
         key: _plain(value, f"controller {name}: attribute {key}", remedy)
@@ -45,7 +52,11 @@ def remember(thing: Any, state: Any) -> None:
     """Give an object what :func:`remembered` returned."""
     restored = _restored(state)
     if _has_own_memory(thing):
+        attributes = restored.pop(_ATTRIBUTES, {}) if isinstance(restored, dict) else {}
         thing.load_state_dict(restored)
+        for path, values in attributes.items():
+            for name, value in values.items():
+                setattr(thing.get_submodule(path), name, value)
     elif isinstance(restored, Mapping):
         vars(thing).update(restored)
 
@@ -64,6 +75,24 @@ def check_memory(name: str, thing: Any) -> None:
             "__slots__; give it state_dict() and load_state_dict()"
         )
     remembered(name, thing, thing)
+
+
+def _attributes(thing: Any) -> dict[str, dict[str, Any]]:
+    """Return what a torch module holds beside its ``state_dict()``, by submodule and name."""
+    if not isinstance(thing, nn.Module) or type(thing).state_dict is not nn.Module.state_dict:
+        return {}
+    saved, found = thing.state_dict(), dict[str, dict[str, Any]]()
+    for path, module in thing.named_modules():
+        if type(module).__module__.startswith("torch."):
+            continue  # sizes and options
+        values = {k: v for k, v in vars(module).items() if k not in vars(nn.Module())}
+        for name, value in module.named_buffers(recurse=False):
+            if f"{path}.{name}".lstrip(".") not in saved:
+                values[name] = value
+        for name, value in values.items():
+            with suppress(TypeError):
+                found.setdefault(path, {})[name] = _plain(value, name, "")
+    return found
 
 
 def _has_own_memory(thing: Any) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
+from torch import nn
 
 from rrl.controllers import FunctionController
 from rrl.trainers.storage.plain_state import from_plain, to_plain
@@ -138,6 +139,43 @@ def test_a_state_dict_that_cannot_be_saved_is_refused_at_first_use() -> None:
         TypeError, match=r"controller Hides: state_dict\(\)\['seen'\]: .* a set; let"
     ):
         FunctionController(Hides, KEYS[:1]).act(state([2]))
+
+
+class Recurrent(nn.Module):
+    """A network with a hidden state, a count and a mean that is no part of its state_dict."""
+
+    def __init__(self):
+        super().__init__()
+        self.cell, self.head, self.law = nn.GRUCell(2, 8), nn.Linear(8, 2), law
+        self.register_buffer("mean", torch.zeros(2), persistent=False)
+        self.reset()
+
+    def reset(self):
+        self.hidden, self.count = torch.zeros(8), 0
+        self.mean.zero_()
+
+    def forward(self, position, goal):
+        self.count += 1
+        self.mean += (position - self.mean) / self.count
+        self.hidden = self.cell((goal - self.mean)[None], self.hidden[None])[0]
+        return self.head(self.hidden)
+
+
+def test_a_network_remembers_what_it_holds_beside_its_weights(tmp_path) -> None:
+    torch.manual_seed(0)
+    network = Recurrent()
+    one, other = (FunctionController(network, KEYS) for _ in range(2))
+    for _ in range(3):
+        one.act(state([2]))
+    torch.save(one.state_dict(), tmp_path / "saved.pt")
+    other.load_state_dict(torch.load(tmp_path / "saved.pt", weights_only=True))
+    for _ in range(3):
+        seen = state([2])
+        with one.only(torch.tensor([True, False])):  # copies what is remembered
+            acts = one.act(seen)
+        with other.only(torch.tensor([True, False])):
+            assert torch.equal(acts, other.act(seen))
+    assert not acts.requires_grad
 
 
 def test_an_object_that_cannot_be_copied_is_named() -> None:
