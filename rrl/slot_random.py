@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import operator
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -26,12 +27,16 @@ class SlotGenerators:
         stream: Name of the consumer. Two consumers with the same seed and different streams draw
             unrelated numbers; the empty stream uses ``seed + i`` itself.
 
+    Attributes:
+        number: Tells consumers with the same seed and stream apart, such as two equal noises; the
+            one with 0 draws what it would draw alone.
+
     Raises:
         TypeError: If ``seed`` is neither an integer nor None.
     """
 
     def __init__(self, seed: int | None, stream: str = "") -> None:
-        self.stream = stream
+        self.stream, self.number = stream, 0
         self.seed(seed)
 
     def seed(self, seed: int | None) -> None:
@@ -69,11 +74,12 @@ class SlotGenerators:
     def state_dict(self) -> dict[str, Any]:
         """Return seed and state of every generator, to be continued exactly."""
         states = None if self._generators is None else [g.get_state() for g in self._generators]
-        return {"seed": self._seed, "states": states}
+        number = {"number": self.number} if self.number else {}
+        return {"seed": self._seed, "states": states, **number}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Take over the state of :meth:`state_dict`, including the number of slots."""
-        self._seed = state["seed"]
+        self._seed, self.number = state["seed"], state.get("number", 0)
         states = state["states"]
         self._generators = None
         if states is not None:
@@ -87,7 +93,8 @@ class SlotGenerators:
         slots: Sequence[int] = range(batch.numel())
         if self._generators is None or len(self._generators) != len(slots):
             first = int(torch.randint(_MAX_DRAWN_SEED, ())) if self._seed is None else self._seed
-            seeds = (_stream_seed(first + slot, self.stream) for slot in slots)
+            stream = f"{self.stream}/{self.number}" if self.number else self.stream
+            seeds = (_stream_seed(first + slot, stream) for slot in slots)
             self._generators = [torch.Generator().manual_seed(seed) for seed in seeds]
         out = torch.zeros((len(slots), *shape), dtype=torch.float32)
         if mask is not None:
@@ -98,11 +105,17 @@ class SlotGenerators:
 
 
 class Seeded:
-    """Mark of a module that owns random numbers and is reached by :func:`seed_env`."""
+    """Base of a module that owns random numbers and is reached by :func:`seed_env`.
+
+    Attributes:
+        generators: What it draws from.
+    """
+
+    generators: SlotGenerators
 
     def seed(self, seed: int | None) -> None:
         """Start the random numbers anew from ``seed``."""
-        raise NotImplementedError
+        self.generators.seed(seed)
 
 
 def seed_env(env: EnvBase, seed: int) -> None:
@@ -112,25 +125,36 @@ def seed_env(env: EnvBase, seed: int) -> None:
     environments are seeded ``seed``, ``seed + 1``, ... (one number a slot), so that it equals a
     batched environment with the same seed. The workers of a ``ParallelEnv`` cannot be reached:
     transforms in there follow ``set_seed`` if they were built with ``seed=None``. (Forked workers
-    that nobody seeds share torch's state and draw the same numbers.)
+    that nobody seeds share torch's state and draw the same numbers.) Transforms of one kind and the
+    same entries, such as two noises of a sensor, draw unrelated numbers.
 
     Args:
         env: Any TorchRL environment, transformed or not.
         seed: Seed of slot 0.
     """
+    _seed(env, seed)
+
+
+def _seed(env: EnvBase, seed: int) -> Counter[str]:
+    """Seed an environment; return how many transforms draw from each stream in it."""
+    streams = Counter[str]()
     if isinstance(env, TransformedEnv):
-        seed_env(env.base_env, seed)
+        streams += _seed(env.base_env, seed)
         for module in env.transform.modules():
             if isinstance(module, Seeded):
+                stream = module.generators.stream
+                module.generators.number = streams[stream]
                 module.seed(seed)
+                streams[stream] += 1
     elif isinstance(env, SerialEnv):
         if env.is_closed:
             env.start()
         for child in env._envs:
-            seed_env(child, seed)
+            streams |= _seed(child, seed)
             seed += max(child.batch_size.numel(), 1)
     else:
         env.set_seed(seed)
+    return streams
 
 
 def _check_seed(seed: int | None) -> int | None:

@@ -58,17 +58,13 @@ class ScriptedOperator(Seeded, StatefulController):
         self.share, self.noise = check_share("share", share), noise
         self.reversed_share = check_share("reversed_share", reversed_share)
         self.steps = None if steps is None else check_whole("steps", steps, 1)
-        self._generators = SlotGenerators(seed, "ScriptedOperator")
-
-    def seed(self, seed: int | None) -> None:
-        """Start the random numbers anew from ``seed``."""
-        self._generators.seed(seed)
+        self.generators = SlotGenerators(seed, "ScriptedOperator")
 
     def reset_state(self, mask: Tensor | None) -> None:
         """Forget the slots where ``mask`` (bool ``[*batch]``) is True; None: all."""
         super().reset_state(mask)
         if mask is None:
-            self._generators.renew()
+            self.generators.renew()
 
     def initial_state(self, tensordict: TensorDictBase) -> State:
         """Draw which slots the operator takes over in this episode."""
@@ -93,7 +89,7 @@ class ScriptedOperator(Seeded, StatefulController):
             command = torch.where(shaped_like(command, wrong), -command, command)
         if self.noise:
             shape = command.shape[tensordict.batch_dims :]
-            drawn = self._generators.normal(tensordict.batch_size, shape)
+            drawn = self.generators.normal(tensordict.batch_size, shape)
             command = floating(command)
             command = command + self.noise * drawn.to(command)
         tensordict.set(OPERATOR_ACTION, command)
@@ -102,28 +98,28 @@ class ScriptedOperator(Seeded, StatefulController):
 
     def memory(self) -> Any:
         """Return what :meth:`put_back` needs, random numbers included."""
-        return super().memory(), self._generators.state_dict()
+        return super().memory(), self.generators.state_dict()
 
     def put_back(self, memory: Any, mask: Tensor) -> None:
         """Put :meth:`memory` back in the slots where ``mask`` (bool ``[*batch]``) is True."""
         (state, fresh), generators = memory
         super().put_back((state, fresh), mask)
-        before, now = generators["states"], self._generators.state_dict()
+        before, now = generators["states"], self.generators.state_dict()
         if before is not None and now["states"] is not None and len(before) == mask.numel():
             pairs = zip(mask.flatten().tolist(), before, now["states"], strict=True)
             states = [old if kept else new for kept, old, new in pairs]
-            self._generators.load_state_dict({**now, "states": states})
+            self.generators.load_state_dict({**now, "states": states})
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return state and random numbers for ``state_dict``."""
-        return {**super().get_extra_state(), "generators": self._generators.state_dict()}
+        return {**super().get_extra_state(), "generators": self.generators.state_dict()}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Take state and random numbers from a ``state_dict``."""
         super().set_extra_state(state)
-        self._generators.load_state_dict(state["generators"])
+        self.generators.load_state_dict(state["generators"])
 
     def _uniform(self, tensordict: TensorDictBase, mask: Tensor | None) -> Tensor:
         """Draw one number a slot, uniform in [0, 1), ``[*batch]``, on the device of the data."""
-        drawn = self._generators.uniform(tensordict.batch_size, mask=mask)
+        drawn = self.generators.uniform(tensordict.batch_size, mask=mask)
         return drawn if tensordict.device is None else drawn.to(tensordict.device)

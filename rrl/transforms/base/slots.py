@@ -186,10 +186,6 @@ class RandomTransform(Seeded, SlotTransform):
             "takes away the fault; a policy is exported without simulated faults"
         )
 
-    def seed(self, seed: int | None) -> None:
-        """Start the random numbers anew; see the constructor's ``seed``."""
-        self.generators.seed(seed)
-
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:

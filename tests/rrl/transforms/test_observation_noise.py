@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 import torch
 from tensordict import TensorDict
-from torchrl.envs import TransformedEnv
+from torchrl.envs import EnvBase, SerialEnv, TransformedEnv
 from torchrl.envs.transforms import Compose
 
+from rrl.slot_random import seed_env
 from rrl.transforms import ObservationNoise
 from toy_envs import PointMass
 from transform_cases import POSITION, drive, random_actions
@@ -110,3 +111,39 @@ def test_not_a_number_to_disturb() -> None:
     env = TransformedEnv(PointMass(), ObservationNoise(["success"]))
     with pytest.raises(TypeError, match="floating point"):
         env.reset()
+
+
+def noise(sigma: float = 1.0) -> ObservationNoise:
+    return ObservationNoise([POSITION], sigma=sigma)
+
+
+def seeded(env: EnvBase) -> torch.Tensor:
+    """What is seen in 1 000 slots at a reset after a seed, [1000, 2]."""
+    seed_env(env, 3)
+    return env.reset()[POSITION].reshape(-1, 2)
+
+
+def serial(*inside: ObservationNoise) -> SerialEnv:
+    return SerialEnv(
+        2, lambda: TransformedEnv(PointMass([500]), Compose(*(n.clone() for n in inside)))
+    )
+
+
+def test_two_noises_of_one_sensor_are_unrelated() -> None:
+    truth = seeded(PointMass([1000]))
+    first = seeded(TransformedEnv(PointMass([1000]), noise())) - truth
+    both = {
+        "beside": TransformedEnv(PointMass([1000]), Compose(noise(), noise())),
+        "inside and around": TransformedEnv(serial(noise()), noise()),
+        "around all": TransformedEnv(serial(), Compose(noise(), noise())),
+    }
+    second = {name: seeded(env) - truth - first for name, env in both.items()}
+    for other in second.values():  # the first one draws what it draws alone
+        torch.testing.assert_close(other, second["beside"], atol=1e-5, rtol=0.0)
+    assert second["beside"].std() == pytest.approx(1.0, abs=0.05)
+    assert (first * second["beside"]).mean().abs() < 0.1
+    again = TransformedEnv(PointMass([1000]), Compose(noise(), noise()))
+    seed_env(again, 3)
+    other = TransformedEnv(PointMass([1000], seed=3), Compose(noise(), noise()))
+    other.load_state_dict(again.state_dict())
+    torch.testing.assert_close(other.reset()[POSITION], truth + first + second["beside"])
