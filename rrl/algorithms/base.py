@@ -61,6 +61,7 @@ class Agent(nn.Module, ABC):
     """Weight of the action's square, a scalar."""
     policy: TensorDictModuleBase
     """From the inputs ``[*batch, *shape]`` to ``action`` [*batch, m] in [-1, 1]."""
+    policy_waits = False  # in the update at work
 
     def __init__(
         self,
@@ -253,7 +254,7 @@ class Agent(nn.Module, ABC):
         """Return the policy's loss and metrics, scalars, of a batch ``[B]``."""
 
     def _take_step(self, kind: Kind, batch: TensorDictBase) -> dict[str, Tensor]:
-        batch = self.readings.for_critics(batch)
+        batch, self.policy_waits = self.readings.for_critics(batch), kind == "targets"
         loss, info = self.value_loss(batch)
         self.critic_optimizer.step(torch.autograd.grad(loss, self._critic_params))
         metrics = {"loss_critic": loss.detach(), **info}

@@ -17,8 +17,10 @@ from tensordict.nn import (
 )
 from torch import Tensor, nn
 from torchrl.data import TensorSpec
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import TanhNormal
 from torchrl.objectives import SACLoss
+from torchrl.objectives.sac import compute_rsample_log_prob
 
 from rrl.algorithms.base import Agent
 from rrl.algorithms.ensemble import EnsembleSACLoss
@@ -123,8 +125,22 @@ class SAC(Agent):
 
     def value_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the sum of the critics' losses, with ``td_error``."""
+        if self.settings.value_bounds and self.policy_waits:
+            self._look_ahead(batch["next"])
         loss, info = self.loss.qvalue_v2_loss(batch)
         return loss, {"td_error": info["td_error"].mean()}
+
+    @torch.no_grad()
+    def _look_ahead(self, following: TensorDictBase) -> None:
+        """Grant the entropies of a policy that waits; its own updates draw them anyway."""
+        loss: Any = self.loss
+        with (
+            set_exploration_type(ExplorationType.RANDOM),
+            loss.actor_network_params.to_module(loss.actor_network),
+        ):
+            acting = loss.actor_network.get_dist(following.select(*self.read_keys))
+            _, log_prob = compute_rsample_log_prob(acting)
+        loss.value_estimator.grant(-loss.log_alpha.exp() * log_prob)
 
     def actor_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the policy's loss, and tune the temperature to the target entropy."""

@@ -4,7 +4,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from agents import batches, make_agent, parameters
+from agents import batches, critics, make_agent, parameters
 from rrl.algorithms import DDPG, SAC, TD3
 
 GAMMA = 0.9
@@ -83,3 +83,35 @@ def test_where_targets_are_possible_learning_is_the_same_to_the_bit(algorithm, s
     twin = make_agent(algorithm=algorithm, gamma=GAMMA, value_bounds=True)
     twin.load_state_dict(agent.state_dict())  # a resumed run knows what rewards there are
     assert torch.equal(twin.loss.value_estimator.least, estimator.least)
+
+
+@pytest.mark.parametrize("num_critics", [2, 3])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_entropies_count_before_the_policy_is_first_updated(num_critics, compiled):
+    """Of a constant reward r and entropies of h a step, values are (r + gamma * h) / (1 - gamma)."""
+    data = batches(60)
+    data["next", "reward"] = torch.full_like(data["next", "reward"], -1.0)
+    for name in ("done", "terminated"):
+        data["next", name] = torch.zeros_like(data["next", name])
+    values = {}
+    for bounds in (False, True):
+        agent = make_agent(
+            algorithm=SAC,
+            gamma=0.5,
+            tau=0.5,
+            critic_lr=1e-2,
+            initial_temperature=2.0,
+            initial_std=1.0,
+            critic_burn_in=60,
+            num_critics=num_critics,
+            value_bounds=bounds,
+            compiled=compiled,
+        )
+        agent.update(data.clone())
+        observation, action = data["observation"][0], data["action"][0]
+        values[bounds] = [
+            q(observation, action).mean().item()
+            for q in critics(agent.loss, "qvalue_network_params")
+        ]
+    assert min(values[False]) > 0.2  # more than rewards alone can add up to
+    assert values[True] == pytest.approx(values[False], abs=0.1)
