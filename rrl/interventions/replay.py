@@ -55,6 +55,7 @@ class InterventionSampler(RandomSampler):
     Raises:
         ValueError: If the share is not in [0, 1].
         KeyError: When drawing, if the storage does not hold the flag.
+        TypeError: When drawing, if the storage holds no TensorDict, as TorchRL's default one.
     """
 
     def __init__(self, share: float, key: NestedKey = INTERVENED) -> None:
@@ -64,10 +65,16 @@ class InterventionSampler(RandomSampler):
         """Return indices ``[batch_size]`` into a storage of one dimension."""
         index, info = super().sample(storage, batch_size)
         stored: Any = storage[:]
+        if not isinstance(stored, TensorDictBase):
+            raise TypeError(
+                "storage: expected one that holds a TensorDict, such as LazyTensorStorage, got a "
+                f"{type(storage).__name__}"
+            )
         remedy = "; store steps as relabel_interventions leaves them"
         flagged = require(self, stored, self.key, remedy).flatten().nonzero().flatten()
         if len(flagged):
             chosen = flagged[torch.randint(len(flagged), (batch_size,), generator=self._rng)]
             count = torch.arange(batch_size + 1, dtype=torch.float64) * self.share
-            index = torch.where((count + 1e-9).floor().diff() > 0, chosen.to(index), index)
+            theirs = ((count + 1e-9).floor().diff() > 0).to(index.device)  # a storage may be on GPU
+            index = torch.where(theirs, chosen.to(index), index)
         return index, info

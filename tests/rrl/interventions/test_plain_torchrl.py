@@ -50,9 +50,9 @@ def test_a_collector_stores_the_executed_residual() -> None:
     assert share == pytest.approx(0.25 + 0.75 * float(taken.float().mean()), abs=0.05)
 
 
-def flagged(count: int, every: int) -> TensorDictReplayBuffer:
+def flagged(count: int, every: int, device: str = "cpu") -> TensorDictReplayBuffer:
     buffer = TensorDictReplayBuffer(
-        storage=LazyTensorStorage(count), sampler=InterventionSampler(0.25)
+        storage=LazyTensorStorage(count, device=device), sampler=InterventionSampler(0.25)
     )
     numbers = torch.arange(count)
     flags = (numbers % every == every - 1).unsqueeze(-1)
@@ -60,15 +60,28 @@ def flagged(count: int, every: int) -> TensorDictReplayBuffer:
     return buffer
 
 
-def test_every_part_of_a_sample_has_the_share() -> None:
+def needs_a_gpu(device: str):
+    missing = not torch.cuda.is_available()
+    return pytest.param(device, marks=pytest.mark.skipif(missing, reason="without a GPU"))
+
+
+@pytest.mark.parametrize("device", ["cpu", needs_a_gpu("cuda:0")])
+def test_every_part_of_a_sample_has_the_share(device) -> None:
     torch.manual_seed(0)
-    drawn = flagged(1000, every=500).sample(64 * 20)["intervened"].reshape(20, 64)
+    drawn = flagged(1000, 500, device).sample(64 * 20)["intervened"].reshape(20, 64)
     at_least = drawn.sum(-1)
     assert (at_least >= 16).all() and (at_least <= 18).all()
 
 
 def test_before_the_first_intervention_all_is_drawn_from_all() -> None:
     assert not flagged(100, every=1000).sample(64)["intervened"].any()
+
+
+def test_a_storage_of_no_tensordict_is_told() -> None:
+    buffer = TensorDictReplayBuffer(sampler=InterventionSampler(0.5), batch_size=2)
+    buffer.extend(TensorDict({"intervened": torch.zeros(4, 1, dtype=torch.bool)}, [4]))
+    with pytest.raises(TypeError, match="such as LazyTensorStorage, got a ListStorage"):
+        buffer.sample()
 
 
 def test_what_lacks_the_flag_is_told() -> None:
