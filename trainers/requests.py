@@ -40,7 +40,7 @@ class Requests:
     """What has been asked for and not been done yet. Any thread may ask; plain values change hands.
 
     An environment asks :meth:`before_step`, :meth:`judge` and :meth:`before_reset`. A judgement
-    ends the episode; asked for in one episode, it does not reach the next. To repeat a start the
+    ends the episode; asked for before an episode's first step, it ends none. To repeat a start the
     environment has to save its state, as :class:`torch.nn.Module` does. A pause lets a simulation
     wait; a robot, which cannot, is stopped, and its episode is cut short.
 
@@ -65,20 +65,27 @@ class Requests:
         else:
             self._judged = request is Request.SUCCEEDED
 
-    def before_step(self, env: EnvBase) -> bool:
+    def before_step(self, env: EnvBase, is_first: bool) -> bool:
         """Let an environment stand still if there is a pause.
+
+        Args:
+            env: A bare environment.
+            is_first: Whether an episode begins: no judgement before it was meant for it.
 
         Returns:
             Whether it is a robot: it is stopped then, and waits before its next reset.
         """
-        if not self.paused:
-            return False
-        stop = stop_of(env)
-        if stop is None:
-            self._wait()
-            return False
-        stop()
-        return True
+        is_robot = False
+        if self.paused:
+            if (stop := stop_of(env)) is None:
+                self._wait()
+            else:
+                stop()
+                is_robot = True
+        if is_first and self._judged is not None:
+            log.warning("a judgement came when no episode was under way: nothing is judged")
+            self._judged = None
+        return is_robot
 
     def judge(self, next_td: TensorDictBase) -> None:
         """End the episode as a person has judged it; leave ``next_td`` alone where nobody has.
@@ -123,7 +130,6 @@ class Requests:
                 stop()
                 self._wait()
                 self.check()  # whoever has the run end may have a hand where the robot would go
-        self._judged = None
         if repeats and env.batch_size.numel() <= 1:
             self._repeat_start(env)
 

@@ -59,7 +59,7 @@ class ResumableEnv(TransformedEnv):
         """Reset the environment, or return what :meth:`begin_with` was given."""
         if self.requests is not None:
             self.requests.before_reset(self.base_env, self._repeats)
-        self.__dict__["is_cut_short"] = False
+        self.__dict__.update(is_cut_short=False, _is_new=True)
         with self._timed("reset"), self._explaining():
             self.next_input = super().reset(tensordict, **arguments)
         begin: TensorDictBase | None = self.__dict__.pop("_begin", None)
@@ -81,7 +81,8 @@ class ResumableEnv(TransformedEnv):
         A pause stops a robot, and the step ends its episode.
         """
         if self.requests is not None:
-            self.__dict__["is_cut_short"] = self.requests.before_step(self.base_env)
+            is_first = self.__dict__.pop("_is_new", False)
+            self.__dict__["is_cut_short"] = self.requests.before_step(self.base_env, is_first)
         with self._timed("robot"), self._explaining():
             out = super().step(tensordict)
         if self.requests is not None:

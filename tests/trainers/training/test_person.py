@@ -9,6 +9,8 @@ from dataclasses import replace
 import pytest
 import torch
 
+from carriages import EPISODE_STEPS as CARRIAGE_STEPS
+from carriages import Carriage, carriage_factory
 from rrl.trainers.loggers import read_metrics
 from rrl.trainers.seeds import Stream
 from rrl.trainers.settings import AcceptanceSettings, EvaluationSettings
@@ -116,6 +118,24 @@ def test_success_may_be_a_persons_judgement_alone(make_trainer, factory):
     found = trainer.run()["drift"].residual
     trainer.close()
     assert found.success.all() and (found.lengths == 5).all()
+
+
+@pytest.mark.parametrize("evaluated", [False, True])
+def test_a_judgement_between_two_episodes_ends_none(make_trainer, evaluated):
+    robot = Carriage(at_reset={3: lambda: trainer.person.succeeded()})
+    environment = carriage_factory(robot, judged=True)
+    quiet = {"evaluation": ALONE, "acceptance": UNTESTED, "steps_per_collection": 50}
+    trainer = make_trainer(environment=environment, **quiet)
+    if evaluated:
+        found = trainer.evaluator.controller("drift", Stream.FOLLOWING, 4)
+        lengths, success = found.lengths.tolist(), found.success
+    else:
+        data = trainer.collection.rollout(0)["next"]
+        lengths = (data["done"].flatten().nonzero().flatten() + 1).diff().tolist()
+        success = data["success"]
+    trainer.close()
+    assert set(lengths) == {CARRIAGE_STEPS}
+    assert not success.any()
 
 
 def test_a_judgement_of_several_environments_at_once_is_refused(make, caplog):
