@@ -86,6 +86,18 @@ def entries(base: Target) -> dict[str, int] | None:
     return None if tell is None else dict(tell(**arguments))
 
 
+def may_be_robot(config: Config) -> bool:
+    """Return whether what a configuration drives may be a robot, as far as it tells unbuilt.
+
+    A robot's class has a method ``stop``. What a function makes is not known: in real time it may
+    be one.
+    """
+    base = locate(config["env"]["base"]["_target_"])
+    if inspect.isclass(base):
+        return callable(getattr(base, "stop", None))
+    return bool(config["trainer"]["collection"] == "realtime")
+
+
 def _check_arguments(path: str, node: Target, given: Config | int | None) -> Problems:
     """Compare a node with its target's signature.
 

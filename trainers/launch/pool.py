@@ -8,8 +8,10 @@ from contextlib import closing
 from dataclasses import dataclass, field
 
 from ..configuration.checks import problems
+from ..configuration.target_checks import may_be_robot
 from ..console import Output
 from ..training.interruption import Interruption
+from ..training.realtime.hand_over import FOLDER, HandOver
 from .display import Display
 from .job import Job
 from .launchers import GRACE_SECONDS, POLL_SECONDS, Handle, make
@@ -50,7 +52,8 @@ def launch(
 
     Raises:
         Interrupted: By a signal, after every run that was under way has saved itself.
-        ValueError: If the configuration of one is wrong; none is started.
+        ValueError: If the configuration of one is wrong, or several would drive a robot side by
+            side; none is started.
     """
     ending = Ending(done=[job for job in jobs if job.finished])
     for job in ending.done:
@@ -60,6 +63,7 @@ def launch(
         return ending
     waiting = [job for job in jobs if job not in ending.done]
     _check(waiting)
+    _check_robots(waiting, workers)
     running: dict[Handle, Job] = {}
     interruption = Interruption("stopping the runs; each saves itself")
     display = Display(console)
@@ -117,6 +121,18 @@ def _check(jobs: Sequence[Job]) -> None:
         raise ValueError("\n".join(f"{runs}: {problem}" for problem, runs in found.items()))
 
 
+def _check_robots(jobs: Sequence[Job], workers: int | None) -> None:
+    """Refuse runs side by side that drive a robot: each would get the other's commands."""
+    robots = [job for job in jobs if may_be_robot(job.config)]
+    if len(robots) > 1 and workers != 1:
+        got = "null" if workers is None else workers
+        raise ValueError(
+            f"workers: expected 1, because {len(robots)} runs drive a robot "
+            f"({robots[0].config['env']['base']['_target_']}), which takes commands of one at a "
+            f"time, got {got}; set workers=1: they run one after the other"
+        )
+
+
 def _ready(waiting: Sequence[Job], ending: Ending, free: int) -> list[Job]:
     """Return the first jobs whose needs are finished.
 
@@ -131,8 +147,8 @@ def _collect(
 ) -> None:
     for handle, job in list(running.items()):
         status = handle.poll()
-        if status is None:
-            continue
+        if status is None or HandOver(job.path / FOLDER).is_alive():
+            continue  # a process that drives a robot goes on where its learner was killed
         del running[handle]
         done = status == 0 and job.finished
         (ending.done if done else ending.failed).append(job)

@@ -6,64 +6,15 @@ import sys
 import time
 
 import pytest
-import yaml
 
-ROBOT = """
-import numpy as np
-from rrl.robot import Description, EntrySpec, Observation, Robot
-
-class Carriage(Robot):
-    description = Description(
-        {"position": EntrySpec((1,)), "goal": EntrySpec((1,)), "reward": EntrySpec((1,))}, (-1.0,), (1.0,), 0.02
-    )
-    time = 0.0
-
-    def _note(self, call):
-        with open("calls.txt", "a") as file:
-            file.write(call + "\\n")
-
-    def observe(self):
-        self.time += 0.02
-        return Observation({name: np.zeros(1, np.float32) for name in self.description.entries}, self.time)
-
-    def command(self, action):
-        self._note("command")
-
-    def reset(self, seed=None):
-        self._note("reset")
-
-    def stop(self):
-        self._note("stop")
-"""
-ENV = {
-    "name": "carriage",
-    "base": {
-        "_target_": "rrl.envs.RobotEnv",
-        "robot": {"_target_": "carriage.Carriage"},
-        "episode_steps": 50,
-    },
-    "batching": "serial",
-    "max_episode_steps": 50,
-    "inputs": {"position": {}},
-    "scenarios": {"here": {}},
-}
-CONTROLLER = {"_target_": "rrl.controllers.ProportionalController", "position_key": "position"}
+from robot_project import FEW, write_robot_project
 
 
 @pytest.fixture
 def run(tmp_path):
     """A run of the controller alone on a robot of the project in ``tmp_path``."""
-    (tmp_path / "carriage.py").write_text(ROBOT)
-    for path, content in {"env": ENV, "controller": CONTROLLER}.items():
-        (tmp_path / "configs" / path).mkdir(parents=True)
-        (tmp_path / "configs" / path / "carriage.yaml").write_text(yaml.safe_dump(content))
-    few = [
-        "trainer.evaluation.every=0",
-        "trainer.evaluation.episodes=1",
-        "trainer.evaluation.final_episodes=1",
-    ]
-    few += ["arm=controller", "logger=csv", "render.enabled=false", "hydra.run.dir=run"]
-    command = rrl("train", "env=carriage", "controller=carriage", *few)
+    write_robot_project(tmp_path)
+    command = rrl("train", *FEW, "hydra.run.dir=run")
     subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, timeout=120)
     (tmp_path / "calls.txt").unlink()
     return tmp_path / "run"

@@ -138,6 +138,8 @@ class HandOver:
 
     def is_alive(self) -> bool:
         """Return whether a process acts, or is about to."""
+        if not self.folder.is_dir():
+            return False
         try:
             os.close(lock(self.folder))
         except BlockingIOError:
