@@ -30,6 +30,7 @@ class ResumableEnv(TransformedEnv):
     worker_errors: WorkerErrors | None = None
     requests: Requests | None = None
     _repeats = True
+    _last: TensorDictBase
     is_cut_short: bool = False
     """Whether a pause has stopped the robot in the middle of the last episode."""
 
@@ -65,6 +66,7 @@ class ResumableEnv(TransformedEnv):
         begin: TensorDictBase | None = self.__dict__.pop("_begin", None)
         if begin is not None:
             self.next_input = begin
+        self.__dict__["_last"] = self.next_input.copy()  # whoever acts adds to what it was given
         return self.next_input
 
     def step_and_maybe_reset(
@@ -78,18 +80,27 @@ class ResumableEnv(TransformedEnv):
     def step(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Step, once a pause is over; a person's judgement may end the episode.
 
-        A pause stops a robot, and the step ends its episode.
+        A robot is stopped by a pause, and not stepped: the episode ends where it was.
         """
         if self.requests is not None:
             is_first = self.__dict__.pop("_is_new", False)
             self.__dict__["is_cut_short"] = self.requests.before_step(self.base_env, is_first)
-        with self._timed("robot"), self._explaining():
-            out = super().step(tensordict)
+        if self.is_cut_short:
+            out = tensordict.set("next", self._as_it_was())
+        else:
+            with self._timed("robot"), self._explaining():
+                out = super().step(tensordict)
+        self.__dict__["_last"] = out["next"]
         if self.requests is not None:
             self.requests.judge(out["next"])
             if self.is_cut_short:
                 self.requests.cut(out["next"])
         return out
+
+    def _as_it_was(self) -> TensorDictBase:
+        """Return what the step before led to; after a reset there was no reward yet: 0."""
+        entries: TensorDictBase = self.full_reward_spec.zero().update(self._last.clone())
+        return entries
 
     @contextmanager
     def _explaining(self) -> Iterator[None]:

@@ -4,6 +4,8 @@ import multiprocessing
 import signal
 import threading
 import time
+from dataclasses import replace
+from functools import partial
 
 import pytest
 import torch
@@ -68,12 +70,45 @@ def told_in_pause(robot):
     return set(robot.told[first + 1 : last]), robot.told[last + 1 : last + 3]
 
 
-def test_a_robot_hears_nothing_but_stop_while_there_is_a_pause(make_trainer):
+class Arm(PointMass):
+    """An environment of one's own whose steps and resets are a robot's."""
+
+    def __init__(self, robot):
+        super().__init__([])
+        self.robot = robot
+
+    def _step(self, tensordict):
+        self.robot.command(tensordict["action"])
+        return super()._step(tensordict)
+
+    def _reset(self, tensordict=None, **kwargs):
+        self.robot.reset()
+        return super()._reset(tensordict, **kwargs)
+
+    def stop(self):
+        self.robot.stop()
+
+
+@pytest.fixture
+def arm_factory(factory):
+    return lambda robot: replace(factory, base=partial(Arm, robot), batching="serial")
+
+
+@pytest.mark.parametrize("of_ones_own", [False, True])
+def test_a_robot_hears_nothing_but_stop_while_there_is_a_pause(
+    make_trainer, arm_factory, of_ones_own
+):
     robot = pausing(4, lambda request: trainer.collection.tell(request))
-    with make_trainer(environment=carriage_factory(robot), **QUIET) as trainer:
-        data = trainer.collection.rollout(0)
+    environment = (arm_factory if of_ones_own else carriage_factory)(robot)
+    with make_trainer(environment=environment, **QUIET) as trainer:
+        data = trainer.collection.rollout(0)[0]
     assert told_in_pause(robot) == ({"stop"}, ["reset", "command"])
-    assert data["next", "truncated"].flatten().nonzero().flatten().tolist() == [4, 14]
+    following = data["next"]
+    assert following["truncated"].flatten().nonzero().flatten()[0] == 4
+    assert not following["terminated"].any()
+    for key in ("end_effector_position", "goal"):
+        assert torch.equal(following[key][4], data[key][4])
+    assert following["reward"][4] == following["reward"][3]
 
 
 def test_an_evaluated_episode_that_a_pause_cuts_short_is_played_again(monkeypatch, caplog):
