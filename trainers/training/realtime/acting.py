@@ -126,6 +126,7 @@ class Acting:
         self._last_command: Tensor | None = None
         self._missed = self._faults = 0  # since the last record
         self._has_been_late = False
+        self._moves = False  # the robot, since it was told to stop
         pace.meanwhile = self._while_there_is_time
 
     @property
@@ -139,7 +140,8 @@ class Acting:
         back = True  # whether the robot did what it should the last time
         while not (self.is_done or self.ending.is_asked):
             self._hear()
-            if self.requests.paused or self.hand_over.is_wanted():
+            stands = self.requests.paused and not self._moves
+            if stands or self.hand_over.is_wanted():
                 time.sleep(0.01)
                 continue
             with self.hand_over.driving():
@@ -156,6 +158,10 @@ class Acting:
         """Play an episode; return whether the robot did what it should."""
         began = time.monotonic()
         try:
+            self._hear()
+            if self.requests.paused:
+                raise _Stopped
+            self._moves = True
             with self.ending.at_once():
                 td = self.env.reset()
             if not was_fine:
@@ -165,15 +171,23 @@ class Acting:
             self._episode(td, time.monotonic() - began)
         except RobotFault as fault:
             self._faults += 1
-            stand_still(self.env)
+            self._stand_still()
             if was_fine:
                 log.warning("the robot is stopped: %s; trying to reset it until it is back", fault)
             return False
         except _Stopped:
-            stand_still(self.env)
-        if self.is_done or self.ending.is_asked or self.hand_over.is_wanted():
-            stand_still(self.env)
+            self._stand_still()
+        self._hear()
+        over = self.is_done or self.ending.is_asked
+        if over or self.requests.paused or self.hand_over.is_wanted():
+            self._stand_still()
         return True
+
+    def _stand_still(self) -> None:
+        """Have the robot stand still, once: whoever does not go on with an episode does."""
+        if self._moves:
+            stand_still(self.env)
+        self._moves = False
 
     def _episode(self, td: TensorDictBase, reset_seconds: float) -> None:
         first, self._last_command = True, None

@@ -1,6 +1,7 @@
 """The loop that does not wait, driving a robot in this process."""
 
 import threading
+import time
 from contextlib import contextmanager
 
 import pytest
@@ -61,3 +62,32 @@ def test_a_judgement_between_two_episodes_ends_none(acting, hand_over):
     ends = following["done"].flatten().nonzero().flatten() + 1
     assert ends.tolist() == [EPISODE_STEPS * n for n in (1, 2, 3, 4)]
     assert not following["success"].any()
+
+
+@pytest.mark.parametrize("step", [4, EPISODE_STEPS])
+def test_a_pause_stops_the_robot_in_whatever_step_it_comes(acting, hand_over, step):
+    def pause():
+        hand_over.tell(Request.PAUSE)
+        told.append(len(robot.told))
+
+    robot, told = Carriage({step: pause}), []
+    with acting(robot):
+        wait_for(lambda: told and "stop" in robot.told[told[0] :], 10.0)
+        time.sleep(0.2)
+        assert set(robot.told[told[0] :]) <= {"stop", "command"}  # one may be on its way
+        here = len(robot.told)
+        hand_over.tell(Request.GO_ON)
+        wait_for(lambda: robot.told[here:])
+        assert robot.told[here] == "reset"
+
+
+def test_a_robot_stands_still_before_somebody_else_has_it(acting, hand_over):
+    robot = Carriage()
+    with acting(robot):
+        wait_for(lambda: robot.told)
+        with hand_over.having_robot():
+            assert robot.told[-1] == "stop"
+            here = len(robot.told)
+            time.sleep(0.2)
+            assert len(robot.told) == here
+        wait_for(lambda: robot.told[here:])
