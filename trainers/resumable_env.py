@@ -10,6 +10,8 @@ from typing import Any
 from tensordict import TensorDictBase
 from torchrl.envs import TransformedEnv
 
+from rrl.keys import DIVERGED, METRICS, REWARD_TERMS, SAFETY, SUCCESS
+
 from .requests import Requests
 from .workers import WorkerErrors
 
@@ -17,6 +19,9 @@ __all__ = ["ResumableEnv"]
 
 DEAD = "Cannot proceed", "At least one process failed"
 """How TorchRL begins to say that a worker has died: while it waits for it, or before it asks it."""
+
+
+REPORTED = (SUCCESS, DIVERGED, METRICS, SAFETY, REWARD_TERMS)
 
 
 class ResumableEnv(TransformedEnv):
@@ -75,6 +80,8 @@ class ResumableEnv(TransformedEnv):
         """Step, and reset what has ended."""
         with self._explaining():
             out, self.next_input = super().step_and_maybe_reset(tensordict)
+        if (reported := self.__dict__.pop("_reported", None)) is not None:
+            out["next"].update(reported)
         return out, self.next_input
 
     def step(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -95,6 +102,9 @@ class ResumableEnv(TransformedEnv):
             self.requests.judge(out["next"])
             if self.is_cut_short:
                 self.requests.cut(out["next"])
+        if self.__dict__.get("_torchrl_native_autoreset", False):
+            # TorchRL puts NaN in the place of all that an episode's last step shows.
+            self.__dict__["_reported"] = out["next"].select(*REPORTED, strict=False).copy()
         return out
 
     def _as_it_was(self) -> TensorDictBase:
