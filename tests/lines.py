@@ -62,6 +62,18 @@ class Line(EnvBase):
         self.random.bit_generator.state = state["random"]
 
 
+class Scoring(Line):
+    """A point for each step, counted in any type of numbers."""
+
+    def __init__(self, reward):
+        super().__init__()
+        self.reward_spec = Unbounded([1], dtype=reward)
+        self.score = torch.ones(1, dtype=reward)
+
+    def _step(self, tensordict):
+        return super()._step(tensordict).set("reward", self.score)
+
+
 class Slashes(Line):
     position, goal = "arm/position", "arm/goal"
 

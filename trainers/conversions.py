@@ -12,7 +12,7 @@ from torchrl.envs.transforms import (
     Transform,
 )
 
-from rrl.keys import ACTION, DIVERGED, METRICS, SUCCESS
+from rrl.keys import ACTION, DIVERGED, METRICS, REWARD, SUCCESS
 
 __all__ = ["convert"]
 
@@ -32,6 +32,8 @@ def convert(env: TransformedEnv) -> None:
         env.append_transform(DeviceCastTransform(CPU))
     if any(spec.dtype == torch.float64 for spec in env.specs.values(True, True)):
         env.append_transform(_DoubleToFloat())
+    if (reward := env.full_reward_spec[REWARD].dtype) != torch.float32:  # 0 and 1, for instance
+        env.append_transform(DTypeCastTransform(reward, torch.float32, in_keys=[REWARD]))
     made_up = getattr(type(env.base_env), "shows_made_up_values", False)
     flag = DTypeCastTransform if made_up else _Flag
     for key in (SUCCESS, DIVERGED):  # some environments write 0.0 and 1.0

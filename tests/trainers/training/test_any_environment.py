@@ -21,6 +21,7 @@ from lines import (
     Nested,
     OwnsANetwork,
     RefusesItsState,
+    Scoring,
     Slashes,
     of,
 )
@@ -30,6 +31,9 @@ from rrl.trainers.settings import AcceptanceSettings, CheckpointSettings, Evalua
 from rrl.trainers.storage.files import claimed
 from rrl.transforms import ControlNoise
 from runs import assert_same_run, run, run_until
+
+
+NO_EVALUATION = EvaluationSettings(every=0)
 
 
 @pytest.fixture
@@ -136,6 +140,17 @@ def test_double_precision_reaches_the_environment_and_single_the_learner(
         torch.int64,  # the index
     }
     assert all(p.dtype == torch.float32 for p in trainer.agent.parameters())
+
+
+@pytest.mark.parametrize("n_step", [1, 3])
+@pytest.mark.parametrize("reward", [torch.int64, torch.uint8, torch.bool, torch.float16])
+def test_a_reward_of_any_type_is_learned_from_in_single_precision(make, reward, n_step):
+    environment = of(Scoring, reward=reward)
+    with make("run", environment, n_step=n_step, evaluation=NO_EVALUATION) as trainer:
+        stored = trainer.store.extend(trainer.collection.collect(0)[0])["next", "reward"]
+    assert stored.dtype == torch.float32
+    discounted = sum(trainer.agent.gamma**k for k in range(n_step))
+    assert stored[0].item() == pytest.approx(discounted)
 
 
 @pytest.mark.parametrize("collection", ["turn", pytest.param("overlap", marks=pytest.mark.slow)])
