@@ -32,7 +32,6 @@ from rrl.trainers.storage.files import claimed
 from rrl.transforms import ControlNoise
 from runs import assert_same_run, run, run_until
 
-
 NO_EVALUATION = EvaluationSettings(every=0)
 
 

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import copy
 import logging
-import os
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -20,7 +16,6 @@ from tensordict.nn import TensorDictModuleBase
 from rrl.pace import prioritized
 
 from ...environment import EnvironmentFactory
-from ...errors import unpacked
 from ...loggers import metrics
 from ...requests import Request, Requests
 from ...seeds import Stream, first_seed
@@ -32,13 +27,9 @@ from ..collection import Collection, Metrics
 from ..collection_metrics import EpisodeReturns, collection_metrics
 from ..interface import Exploration
 from ..policy_vector import flatten
-from .hand_over import FOLDER, MESSAGES, HandOver, Weights
+from .hand_over import FOLDER, HandOver, Weights
+from .process import POLL, ActingProcess
 from .records import TIMING, cut_episodes, read_usable, seconds_of, timing_metrics
-
-CLOSE_SECONDS = 10.0
-"""How long the process gets to stop the robot before it is ended."""
-POLL = 0.01
-"""Seconds between two looks for what was collected."""
 
 log = logging.getLogger(__name__)
 
@@ -73,18 +64,18 @@ class RealTime(Collection):
         self._hand_over = HandOver(run_dir / FOLDER)
         self._hand_over.folder.mkdir(parents=True, exist_ok=True)
         self._recipe = settings, environment, exploration
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process = ActingProcess(self._hand_over)
         self._owns = self._stopped = False
         self._seed = first_seed(Stream.TRAINING, settings.seed)
         self._returns = EpisodeReturns(1)
         self._log = TransitionLog(self._hand_over.folder / TRANSITIONS)
-        self._found = self._finds_process()
+        self._found = self._process.is_found()
         try:
             if not self._found:
-                self._start()
+                self._process.start(self._recipe)
             elif (weights := self._hand_over.new_weights()) is not None:
                 self._seed = weights.seed  # its episodes go on as they are
-            self.interface, self._authority, self._is_robot = self._wait_for("interface")
+            self.interface, self._authority, self._is_robot = self._process.wait_for("interface")
         except BaseException:
             self.close()
             raise
@@ -118,8 +109,9 @@ class RealTime(Collection):
             if self._has_made_its_steps():
                 self._follow()
                 self._publish(env_steps)
-            if not self._runs() and self._log.refresh() < end:  # nor has it ended well since
-                self._require_process()
+            # It may have ended well since.
+            if not self._process.runs() and self._log.refresh() < end:
+                self._process.require()
             time.sleep(POLL)
         self._relay()
         return self._read(env_steps)
@@ -173,35 +165,17 @@ class RealTime(Collection):
 
     def stop(self) -> None:
         """Have the process stop the robot and end, unless it is another learner's."""
-        if not (self._owns or self._process):
+        if not (self._owns or self._process.is_started_here):
             return
-        self._send(signal.SIGTERM)
-        ends = time.monotonic() + CLOSE_SECONDS
-        while self._runs() and time.monotonic() < ends:
-            time.sleep(POLL)
-        self._send(signal.SIGKILL)
-        if self._process is not None:
-            self._process.wait()
-        self._process, self._owns, self._found, self._stopped = None, False, False, True
+        self._process.end()
+        self._owns, self._found, self._stopped = False, False, True
 
     close = stop
 
     def stop_at_once(self) -> None:
         """Have the process stop the robot and end; it would go on without a learner."""
-        if self._owns or self._process:
-            self._send(signal.SIGTERM)
-
-    def _runs(self) -> bool:
-        if self._process is not None:
-            return self._process.poll() is None
-        return self._hand_over.is_alive()
-
-    def _send(self, number: signal.Signals) -> None:
-        """Send the process a signal, if it runs."""
-        if self._process is not None:
-            self._process.send_signal(number)
-        elif self._hand_over.is_alive():
-            os.kill(int((self._hand_over.folder / "pid").read_text()), number)
+        if self._owns or self._process.is_started_here:
+            self._process.ask_to_end()
 
     def _require_steps(self, env_steps: int) -> None:
         """Refuse to have the robot make again what the run has made."""
@@ -241,59 +215,10 @@ class RealTime(Collection):
 
     def _start_another(self) -> None:
         self._seed = self._seed_anew()
-        self._start()
-        self._wait_for("interface")
+        self._process.start(self._recipe)
+        self._process.wait_for("interface")
         self.set_policy(self._policy)
         self._stopped = False
-
-    def _finds_process(self) -> bool:
-        """Return whether an earlier learner's process acts.
-
-        One that has not begun to, because its learner died before, ends by itself.
-        """
-        while self._hand_over.is_alive():
-            if self._hand_over.has_weights():
-                return True
-            time.sleep(POLL)
-        return False
-
-    def _start(self) -> None:
-        self._hand_over.clear()
-        self._hand_over.write("recipe", self._recipe)
-        paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)
-        with (self._hand_over.folder / MESSAGES).open("ab") as messages:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", __package__, str(self._hand_over.folder), str(os.getpid())],
-                stdin=subprocess.DEVNULL,
-                stdout=messages,
-                stderr=messages,
-                start_new_session=True,  # a Ctrl-C in the terminal is for the learner
-                # It finds what this process finds; -m alone would put the working directory first.
-                env={**os.environ, "PYTHONPATH": paths, "PYTHONSAFEPATH": "1"},
-            )
-        log.info(
-            "process %d drives the environment, and goes on if this one is killed; "
-            "kill %d stops it",
-            self._process.pid,
-            self._process.pid,
-        )
-
-    def _wait_for(self, name: str) -> Any:
-        while (content := self._hand_over.read(name)) is None:
-            self._require_process()
-            time.sleep(POLL)
-        return content
-
-    def _require_process(self) -> None:
-        """Raise what ended the process, if it has ended."""
-        if self._runs():
-            return
-        if (failure := self._hand_over.read("failure")) is not None:
-            raise unpacked(failure, "the acting process")
-        raise RuntimeError(
-            "the acting process died; every transition is on disk, "
-            f"and its last words are in {self._hand_over.folder / MESSAGES}"
-        )
 
     def _relay(self) -> None:
         for line in self._hand_over.said():
