@@ -185,9 +185,15 @@ class ReplayStore:
                 tail,
             )
 
-    def keep_whole_rounds(self, size: int) -> None:
-        """Leave pending what :meth:`recover` can take in rounds of ``size``; set the rest aside."""
-        whole = self.pending // size * size
+    def keep_whole_rounds(self, size: int, last: int | None = None) -> None:
+        """Leave pending what :meth:`recover` can take in rounds of ``size``; set the rest aside.
+
+        Args:
+            size: Transitions of a round.
+            last: Transition that no round may reach beyond; None: any may.
+        """
+        most = self.pending if last is None else min(self.pending, max(0, last - self.count))
+        whole = most // size * size
         pending = self.log.read(self.count, self.count + whole)[0] if whole else TensorDict()
         while whole and not self.images.are_whole(pending[:whole]):
             whole -= size

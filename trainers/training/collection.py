@@ -78,6 +78,11 @@ class Collection(ABC):
     def can_continue(self) -> bool:
         """Whether the environment can go on in the middle of an episode."""
 
+    @property
+    def recoverable(self) -> int | None:
+        """Up to which step :meth:`recover` finds the run's rounds; None: it needs nothing."""
+        return None
+
     @abstractmethod
     def start_episode(self, seed: int) -> None:
         """Begin the next episode; what is random about it comes from ``seed``."""

@@ -140,7 +140,7 @@ class Trainer(AbstractContextManager["Trainer"]):
         if self.collection.can_continue:
             self.store.set_pending_aside()
         else:
-            self.store.keep_whole_rounds(self.settings.steps_per_round)
+            self.store.keep_whole_rounds(self.settings.steps_per_round, self.collection.recoverable)
             # Of what is stored already nothing is drawn again, however often the run dies.
             seed = first_seed(Stream.TRAINING, self.settings.seed, self.store.log.count)
             self.collection.start_episode(seed)

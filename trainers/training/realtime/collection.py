@@ -137,6 +137,11 @@ class RealTime(Collection):
         """Return False: a robot is not put back to where it was."""
         return False
 
+    @property
+    def recoverable(self) -> int:
+        """Up to which step the process's log reaches: a loss of power may leave less of it."""
+        return self._log.refresh()
+
     def start_episode(self, seed: int) -> None:
         """Let a process that was started anew draw other episodes than those in its own log."""
         self._take_over()

@@ -19,6 +19,7 @@ from realtime_runs import (
     wait_for,
 )
 from rrl.robot import RobotFault
+from rrl.trainers.settings import CheckpointSettings
 from rrl.trainers.storage.transition_log import TransitionLog
 from rrl.trainers.training.interruption import Interrupted
 from rrl.trainers.training.realtime.hand_over import HandOver
@@ -240,6 +241,21 @@ def test_a_robot_makes_no_step_again_whose_record_is_gone(make, tmp_path):
     with trainer, pytest.raises(ValueError, match="expected the 60 transitions that the run has"):
         trainer.run()
     assert TransitionLog(tmp_path / "run/realtime/transitions").count == 0
+
+
+@pytest.mark.slow
+def test_a_run_goes_on_where_the_processs_log_has_lost_its_last_records(make, tmp_path, caplog):
+    changes = {**SLOW, "total_steps": 120, "checkpoint": CheckpointSettings(every=60)}
+    learn_and_be_killed(make, 100, kill_the_process, **changes)
+    log = TransitionLog(tmp_path / "run/realtime/transitions")
+    log.cut(95)  # as a loss of power does
+    log.close()
+    trainer = learn(make, **changes)
+    data = acted(tmp_path / "run")
+    assert trainer.env_steps == len(data) == 120
+    assert torch.equal(trainer.replay[:]["action"], data["action"])
+    assert "20 transitions were stored after the checkpoint; they are learned from" in caplog.text
+    assert list((tmp_path / "run/transitions").glob("tail_000000000080_*.bin"))
 
 
 @pytest.mark.slow
