@@ -48,6 +48,7 @@ class RealTime(Collection):
         run_dir: Where the run writes.
 
     Raises:
+        BlockingIOError: If another trainer learns here.
         RuntimeError: If the process dies. What the environment raises is raised here.
         ValueError: By the first round, if the process's log lacks steps of the run.
     """
@@ -69,8 +70,8 @@ class RealTime(Collection):
         self._seed = first_seed(Stream.TRAINING, settings.seed)
         self._returns = EpisodeReturns(1)
         self._log = TransitionLog(self._hand_over.folder / TRANSITIONS)
-        self._found = self._process.is_found()
         try:
+            self._found = self._process.is_found()
             if not self._found:
                 self._process.start(self._recipe)
             elif (weights := self._hand_over.new_weights()) is not None:
@@ -175,7 +176,10 @@ class RealTime(Collection):
         self._process.end()
         self._owns, self._found, self._stopped = False, False, True
 
-    close = stop
+    def close(self) -> None:
+        """Stop, and let others learn here."""
+        self.stop()
+        self._process.release()
 
     def stop_at_once(self) -> None:
         """Have the process stop the robot and end; it would go on without a learner."""

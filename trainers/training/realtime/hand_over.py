@@ -13,6 +13,7 @@ Layout::
         requests.txt     what a person asks for, one name a line
         transitions/     every transition, in files that only grow
         wish, robot      locked by whoever wants the robot, and whoever has it
+        learner/         locked by whoever learns
 
 Either side may die at any moment: a reader finds all of an old file or all of a new one, and locks
 end with their process.
@@ -36,7 +37,7 @@ from ...requests import Request
 from ...storage.files import lock
 
 FOLDER = "realtime"
-REQUESTS, MESSAGES = "requests.txt", "log.txt"
+REQUESTS, MESSAGES, LEARNER = "requests.txt", "log.txt", "learner"
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import unpacked
-from .hand_over import MESSAGES, HandOver
+from ...storage.files import lock
+from .hand_over import LEARNER, MESSAGES, HandOver
 
 CLOSE_SECONDS = 10.0
 """How long the process gets to stop the robot before it is ended."""
@@ -27,11 +28,30 @@ class ActingProcess:
 
     Args:
         hand_over: What it is given and gives.
+
+    Raises:
+        BlockingIOError: If somebody else learns from it, in this process or another one; it would
+            wait for that one's weights.
     """
 
     def __init__(self, hand_over: HandOver) -> None:
         self._hand_over = hand_over
         self._started: subprocess.Popen[bytes] | None = None
+        claim = hand_over.folder / LEARNER
+        claim.mkdir(parents=True, exist_ok=True)
+        try:
+            self._claim: int | None = lock(claim)
+        except BlockingIOError:
+            raise BlockingIOError(
+                f"{hand_over.folder.parent}: expected no other trainer that learns in real time "
+                "here, got one, of this or another process; close it first"
+            ) from None
+
+    def release(self) -> None:
+        """Let somebody else learn from it."""
+        if self._claim is not None:
+            os.close(self._claim)
+        self._claim = None
 
     @property
     def is_started_here(self) -> bool:

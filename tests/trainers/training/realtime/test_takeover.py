@@ -232,6 +232,12 @@ def test_a_trainer_that_cannot_be_made_leaves_no_process(make, tmp_path):
     assert not HandOver(tmp_path / "run/realtime").is_alive()
 
 
+def test_a_second_trainer_beside_one_that_has_not_begun_is_refused(make):
+    with make(), pytest.raises(BlockingIOError, match="got one, of this or another process"):
+        make()
+    make().close()
+
+
 @pytest.mark.slow
 def test_a_robot_makes_no_step_again_whose_record_is_gone(make, tmp_path):
     run(make(total_steps=60))
