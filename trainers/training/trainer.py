@@ -95,8 +95,8 @@ class Trainer(AbstractContextManager["Trainer"]):
             self.agent = make_agent(**self.collection.interface.arguments()).to(settings.device)
             self.collection.set_policy(self.agent.policy)
             self.store = ReplayStore.of(settings, self.run_dir, self.agent.gamma)
-            room, kept = self.collection.interface.room, self.store.capacity
-            require_room(self.run_dir, kept, *room, settings.device, written=self.store.log.count)
+            stored = self.store.log.count
+            require_room(self.run_dir, settings, *self.collection.interface.room, stored)
             self.replay = self.store.replay
             self.person = Person(self.collection, self.interruption)
             scenarios = {"training": environment} if scenarios is None else scenarios

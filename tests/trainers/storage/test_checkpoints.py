@@ -10,6 +10,7 @@ import torch
 from rrl.trainers.settings import CheckpointSettings
 from rrl.trainers.storage import files
 from rrl.trainers.storage.checkpoints import load_components
+from rrl.trainers.storage.room import kept_on_disk
 from toy_envs import EPISODE_STEPS
 
 
@@ -162,16 +163,22 @@ def test_a_buffer_that_wrapped_around_is_restored_as_a_ring(make):
     second.close()
 
 
-def test_the_log_on_disk_is_bounded_by_the_buffer(make, monkeypatch):
-    monkeypatch.setattr("rrl.trainers.storage.transition_log.SEGMENT_BYTES", 1)
-    trainer = make(total_steps=400, buffer_capacity=60)
+@pytest.mark.parametrize("every", [100, 0])
+def test_the_log_on_disk_is_bounded_by_what_room_is_asked_for(make, every):
+    trainer = make(total_steps=400, buffer_capacity=60, checkpoint=CheckpointSettings(every=every))
     trainer.store.log._segment_bytes = 40 * 60
+    one_round, on_disk = trainer._round, []
+
+    def looking():
+        one_round()
+        on_disk.append(len(list(trainer.store.log.folder.glob("segment_*"))))
+
+    trainer._round = looking
     trainer.run()
     trainer.close()
-    per_segment = trainer.store.log._per_segment
+    per_segment, room = trainer.store.log._per_segment, kept_on_disk(trainer.settings)
     assert 1 < per_segment < 60
-    # the buffer as it was at the oldest of two checkpoints, 100 steps apart
-    assert len(list(trainer.store.log.folder.glob("segment_*"))) <= (60 + 100) // per_segment + 2
+    assert room // per_segment - 2 <= max(on_disk) <= room // per_segment + 2
 
 
 def run_after_crash(make, steps, **changes):

@@ -9,10 +9,13 @@ from pathlib import Path
 
 import pytest
 
+from rrl.trainers.settings import CheckpointSettings
 from rrl.trainers.storage.files import lock, sync
 from rrl.trainers.storage.room import memory_bytes, require_room
 from rrl.trainers.training.realtime.hand_over import HandOver
 from situation_commands import start
+
+THOUSAND = {"total_steps": 1000}
 
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="mounting a small file system needs root")
 
@@ -52,13 +55,24 @@ def test_transitions_that_the_disk_cannot_take_are_refused_at_once(make_trainer,
     make_trainer(small_disk / "run", total_steps=1_000_000, buffer_capacity=10_000).close()
 
 
-def test_what_is_written_beside_them_counts_on_the_disk_alone(tmp_path):
-    free, memory = shutil.disk_usage(tmp_path).free, memory_bytes("cpu")
-    require_room(tmp_path, 1000, 1, free // 2000, "cpu")
+def test_what_is_written_beside_them_counts_on_the_disk_alone(settings, tmp_path):
+    free, memory, run = shutil.disk_usage(tmp_path).free, memory_bytes("cpu"), settings(**THOUSAND)
+    require_room(tmp_path, run, 1, free // 2000)
     with pytest.raises(ValueError, match=r"what is free on the disk .*, got 1000 of "):
-        require_room(tmp_path, 1000, 1, free // 500, "cpu")
+        require_room(tmp_path, run, 1, free // 500)
+    require_room(tmp_path, run, 1, free // 500, written=800)
     with pytest.raises(ValueError, match="the memory of cpu"):
-        require_room(tmp_path, 1000, memory, 1, "cpu")
+        require_room(tmp_path, run, memory, 1)
+
+
+@pytest.mark.parametrize(("every", "keep", "stay"), [(100, 2, 300), (0, 2, 1000), (400, 3, 1000)])
+def test_what_a_checkpoint_needs_stays_on_the_disk(settings, tmp_path, every, keep, stay):
+    free = shutil.disk_usage(tmp_path).free
+    saved = CheckpointSettings(every=every, keep=keep)
+    run = settings(**THOUSAND, buffer_capacity=100, checkpoint=saved)
+    require_room(tmp_path, run, 1, free // (2 * stay))
+    with pytest.raises(ValueError, match=rf"got {stay} of .* save more often"):
+        require_room(tmp_path, run, 1, 2 * free // stay)
 
 
 def test_a_file_system_that_cannot_sync_a_folder_is_no_hindrance():
