@@ -123,9 +123,8 @@ class Trainer(AbstractContextManager["Trainer"]):
     def resume(self) -> Path:
         """Continue from the run's newest checkpoint that is whole.
 
-        A simulation goes on in the middle of its episode and makes again what it made after the
-        checkpoint. An environment that cannot starts a new episode; :meth:`run` first learns again
-        from what was stored after the checkpoint, and goes on from there.
+        A simulation goes on in its episode and makes again what came after the checkpoint. For any
+        other environment, :meth:`run` learns again from what is stored, and an episode begins.
 
         Raises:
             FileNotFoundError, ValueError: If none is whole, this is another run, or more is done.
@@ -160,6 +159,7 @@ class Trainer(AbstractContextManager["Trainer"]):
             RuntimeError: If a scenario cannot be played.
         """
         self.require_new_or_resumed()
+        self._resumed = False  # to go on once more is to resume again, or noise would come again
         GlobalRNGState().load_state_dict(self._generators)
         for logger in self.loggers:
             logger.start(self.run_dir, self.config, self.env_steps)
@@ -186,7 +186,7 @@ class Trainer(AbstractContextManager["Trainer"]):
         """Claim the run's directory.
 
         Raises:
-            FileExistsError: If it holds a run already and :meth:`resume` was not called.
+            FileExistsError: If it holds a run and :meth:`resume` was not called since the last one.
             BlockingIOError: If another process is training in it.
         """
         self.checkpoints.claim()

@@ -15,6 +15,7 @@ from rrl.trainers.loggers import read_metrics
 from rrl.trainers.seeds import Stream
 from rrl.trainers.settings import AcceptanceSettings, EvaluationSettings
 from rrl.trainers.training.interruption import Interrupted
+from runs import assert_same_run, run
 from toy_envs import EPISODE_STEPS, PointMass
 
 NO_EVALUATION = EvaluationSettings(every=0, episodes=2, final_episodes=2, slots=2)
@@ -175,15 +176,19 @@ def test_a_start_is_repeated(make, evaluated):
 
 
 def test_a_run_that_was_stopped_goes_on_in_the_same_trainer(make):
+    whole = run(make("whole"))
     trainer = make()
-    at_step(trainer, 70, trainer.person.stop)
-    with pytest.raises(Interrupted):
-        trainer.run()
-    assert trainer.env_steps == 80
-    trainer.resume()
+    for stopped_at in (80, 160):  # a fresh trainer, then a resumed one
+        at_step(trainer, 70, trainer.person.stop)
+        with pytest.raises(Interrupted):
+            trainer.run()
+        assert trainer.env_steps == stopped_at
+        with pytest.raises(FileExistsError, match="resume it, or choose another"):
+            trainer.run()
+        trainer.resume()
     trainer.run()
     trainer.close()
-    assert trainer.env_steps == 200
+    assert_same_run(whole, trainer)
 
 
 def test_an_environment_without_a_state_says_that_it_cannot(make_trainer, caplog):
