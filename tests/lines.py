@@ -1,5 +1,6 @@
 """A point on the way to its goal, as the environments of other people are: its state, its names, its types."""
 
+import threading
 from functools import partial
 
 import numpy as np
@@ -140,6 +141,15 @@ class RefusesItsState(Line):
 class KeepsAFile(Line):
     def state_dict(self, *args, **kwargs):
         return {**super().state_dict(), "devices": [{"handle": object()}]}
+
+
+class HoldsALock(Line):
+    """As a driver does: it cannot be copied."""
+
+    lock = threading.Lock()
+
+    def state_dict(self, *args, **kwargs):
+        return {**super().state_dict(), "lock": self.lock}
 
 
 def of(base, **arguments):

@@ -172,13 +172,13 @@ def stand_still(env: EnvBase) -> None:
 
 
 def _saved(env: EnvBase) -> dict[str, Any] | None:
-    """Return an environment's state; None if it has none, or none before its first step."""
+    """Return an environment's state; None if it has none, not yet, or one that is not copied."""
     try:
         state = dict(env.state_dict())
+        return copy.deepcopy(state) if has_content(state) else None
     except Exception as error:  # asked for by nobody so far: no reason to warn
         log.debug("no start to repeat: %s", error)
         return None
-    return copy.deepcopy(state) if has_content(state) else None
 
 
 def has_content(state: Any) -> bool:

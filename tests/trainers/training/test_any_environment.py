@@ -15,6 +15,7 @@ from lines import (
     Chatty,
     Forgetful,
     ForgetsTheTime,
+    HoldsALock,
     KeepsAFile,
     LegacyGenerator,
     Line,
@@ -88,6 +89,7 @@ def test_what_cannot_be_saved_is_refused_at_the_first_checkpoint_with_its_path(m
         (Forgetful, None),
         (OwnsANetwork, None),
         (ForgetsTheTime, None),
+        (HoldsALock, "the environment's state cannot be restored (TypeError: cannot pickle"),
         (RefusesItsState, "the environment's state cannot be restored (NotImplementedError: not"),
     ],
 )
