@@ -150,6 +150,12 @@ class FrameLog:
         self._unsynced.clear()
         self._index.sync()
 
+    def sync_all(self) -> None:
+        """Fsync every file, whichever process has appended to it."""
+        for path in (*self._files(), self.folder):
+            sync(path)
+        self._index.sync_all()
+
     def cut(self, count: int) -> None:
         """Set the frames from ``count`` on aside in a tail file."""
         if count >= self.count:

@@ -200,6 +200,8 @@ class ReplayStore:
         self.log.cut(self.count + whole)
         self.images.cut(pending[:whole] if whole else None)
         if whole:
+            self.log.sync_all()  # whoever wrote them may not have: the next mark covers them
+            self.images.sync_all()
             log.warning(
                 "%d transitions were stored after the checkpoint; they are learned from again",
                 whole,

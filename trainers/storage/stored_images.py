@@ -123,6 +123,11 @@ class StoredImages:
         for key, entry in self._entries.items():
             (entry.log if on_disk else entry.memory).forget(_span(oldest, key)[0])
 
+    def sync_all(self) -> None:
+        """Fsync every frame, whichever process has stored it."""
+        for entry in self._entries.values():
+            entry.log.sync_all()
+
     def mark(self) -> dict[str, list[int]]:
         """Return how many frames each log has, and a checksum of them; they are then on disk."""
         marks = {}

@@ -10,7 +10,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from rrl.trainers.storage import frame_log
+from rrl.trainers.storage import frame_log, transition_log
 from rrl.trainers.storage.frame_log import FrameLog
 from rrl.trainers.storage.replay_store import ReplayStore
 
@@ -29,6 +29,15 @@ def frames(number, seed=0, moving=True):
 @pytest.fixture
 def small(monkeypatch):
     monkeypatch.setattr(frame_log, "FRAMES_PER_FILE", 64)
+
+
+@pytest.fixture
+def synced(monkeypatch):
+    """What is synced from now on."""
+    paths = []
+    for module in (frame_log, transition_log):
+        monkeypatch.setattr(module, "sync", paths.append)
+    return paths
 
 
 @pytest.fixture
@@ -221,7 +230,8 @@ def test_a_store_filled_from_disk_is_the_one_that_was_left(tmp_path):
     assert (again.newest() == left.newest()).all()
 
 
-def test_what_was_stored_after_a_checkpoint_is_recovered_with_its_frames(tmp_path):
+@pytest.mark.usefixtures("small")
+def test_what_was_stored_after_a_checkpoint_is_recovered_with_its_frames(tmp_path, synced):
     left = ReplayStore(tmp_path / "run", 100, 4)
     data, shown = collected((8, 8, 3))
     left.extend(data)
@@ -230,11 +240,14 @@ def test_what_was_stored_after_a_checkpoint_is_recovered_with_its_frames(tmp_pat
         data, shown = collected((8, 8, 3), seed=seed, start=shown)
         left.extend(data)
     left.close()
+    synced.clear()
     again = ReplayStore(tmp_path / "run", 100, 4)
     again.load_state_dict(state)
     again.keep_whole_rounds(24)
     for _ in range(2):
         again.recover(24)
+    again.mark()  # covers what nobody has synced
+    assert set((tmp_path / "run").rglob("*.bin")) <= set(synced)
     assert (again.newest() == left.newest()).all()
     fresh, _ = collected((8, 8, 3), seed=9)  # a machine begins a new episode
     again.extend(fresh)
