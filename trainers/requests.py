@@ -130,12 +130,19 @@ class Requests:
                 stop()
                 self._wait()
                 self.check()  # whoever has the run end may have a hand where the robot would go
-        if repeats and env.batch_size.numel() <= 1:
+        if repeats:
             self._repeat_start(env)
 
     def _repeat_start(self, env: EnvBase) -> None:
         asked, self._repeats = self._repeats, False
-        if not asked:
+        if (slots := env.batch_size.numel()) > 1:
+            if asked:
+                log.warning(
+                    "to repeat a start needs one environment at a time, these are %d: it is not "
+                    "repeated",
+                    slots,
+                )
+        elif not asked:
             self._start = _saved(env)
         elif self._start is None:
             log.warning("this environment does not save its state: its next start is another one")

@@ -139,13 +139,15 @@ def test_a_judgement_between_two_episodes_ends_none(make_trainer, evaluated):
     assert not success.any()
 
 
-def test_a_judgement_of_several_environments_at_once_is_refused(make, caplog):
+@pytest.mark.parametrize("asked", ["succeeded", "repeat_start"])
+def test_what_is_asked_of_several_environments_at_once_is_refused(make, caplog, asked):
     trainer = make(num_envs=2)
-    at_step(trainer, 3, trainer.person.succeeded)
+    at_step(trainer, 3, getattr(trainer.person, asked))
     data = trainer.collection.rollout(0)
+    trainer.collection.rollout(0)
     trainer.close()
     assert not data["next", "done"][:, :-1].any()
-    assert "needs one environment at a time, these are 2" in caplog.text
+    assert caplog.text.count("needs one environment at a time, these are 2") == 1
 
 
 def starts(trainer, steps):
