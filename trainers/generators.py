@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import torch
 from torchrl.checkpoint import GlobalRNGState
 
-__all__ = ["isolated_generators", "seed_generators"]
+__all__ = ["Generators", "isolated_generators", "seed_generators"]
+
+
+class Generators(GlobalRNGState):
+    """The global generators of Python, NumPy, torch and its devices, as checkpoints have them."""
+
+    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
+        """Restore them; of the GPUs those that this machine shows, which may be fewer by now."""
+        state = dict(state_dict)
+        gpus = list(state.pop("torch_cuda", ()))[: torch.cuda.device_count()]
+        super().load_state_dict(state | ({"torch_cuda": gpus} if gpus else {}))
 
 
 def seed_generators(seed: int) -> None:

@@ -36,8 +36,9 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torchrl.checkpoint import Checkpoint, CheckpointAdapter, GlobalRNGState
+from torchrl.checkpoint import Checkpoint, CheckpointAdapter
 
+from ..generators import Generators
 from .files import check_seal, lock, read_note, seal, sync
 from .plain_state import from_plain, to_plain
 from .run_files import CHECKPOINTS
@@ -63,7 +64,7 @@ class Checkpoints:
     def __init__(self, run_dir: Path, keep: int, components: Mapping[str, Any]) -> None:
         self._folder, self._keep = run_dir / CHECKPOINTS, keep
         self._lock: int | None = None
-        self._checkpoint = _of({**components, "rng": GlobalRNGState()})
+        self._checkpoint = _of({**components, "rng": Generators()})
 
     def claim(self) -> None:
         """Keep other processes from training here, until :meth:`release` or the process's end.

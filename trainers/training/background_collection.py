@@ -20,12 +20,12 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
-from torchrl.checkpoint import GlobalRNGState
 
 from rrl.algorithms.compilation import import_compiler
 
 from ..environment import EnvironmentFactory
 from ..errors import packed, unpacked
+from ..generators import Generators
 from ..requests import Request, Requests, stop_of
 from ..settings import TrainerSettings
 from ..storage.plain_state import from_plain, to_plain
@@ -190,7 +190,7 @@ class _Worker:
                 "trainer.collection: expected turn or realtime for a robot (an environment with a "
                 "method stop), got overlap; an evaluation would drive it beside the second process"
             )
-        self.rng = GlobalRNGState()
+        self.rng = Generators()
 
     def set_policy(self, policy: bytes) -> None:
         self.policy = cloudpickle.loads(policy)
