@@ -27,8 +27,9 @@ FLAGS = ("terminated", "truncated")
 class RobotEnv(EnvBase):
     """A :class:`~rrl.robot.Robot` with ``batch_size []``, driven at its own control period.
 
-    A step commands, waits for the end of the period (:class:`~rrl.pace.Pace`) and observes. Once
-    told to stop, the robot gets no command before its next reset: a step then ends the episode.
+    A step commands, waits for the end of the period (:class:`~rrl.pace.Pace`) and observes. What is
+    commanded is clipped to the description's bounds. Once told to stop, the robot gets no command
+    before its next reset: a step then ends the episode.
     Entries, bounds and period are those of the robot's description.
 
     Reads ``action``; writes the description's entries under their names (those with a slash
@@ -49,7 +50,7 @@ class RobotEnv(EnvBase):
         ValueError: If the description has no ``reward``, an entry or bounds that cannot be, or an
             observation is not as described.
         RobotFault: By steps and resets, if the robot is silent, frozen or refuses, or measures what
-            is not finite.
+            is not finite; by a step, if the action is not finite, which is then not commanded.
     """
 
     makes_new_tensors = True
@@ -124,8 +125,8 @@ class RobotEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         if not self._stopped:
-            # A copy: a driver may write into what it is given.
-            self.robot.command(tensordict[ACTION].detach().numpy().copy())
+            action = tensordict[ACTION].detach().numpy()
+            self.robot.command(self.description.within_bounds(action))
         self.pace.wait()
         self._steps += 1
         return self._read()

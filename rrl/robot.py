@@ -8,7 +8,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from numpy.typing import NDArray
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from rrl.signals import held_back, raised_as_exits
 
@@ -59,6 +60,26 @@ class Description:
     low: tuple[float, ...]
     high: tuple[float, ...]
     period: float
+
+    def within_bounds(self, action: ArrayLike) -> NDArray[Any]:
+        """Return a command [n] as a driver may get it: a copy of ``action``, within the bounds.
+
+        Raises:
+            RobotFault: If a number of it is not finite.
+            ValueError: If it does not have one number for each dimension.
+        """
+        given = np.asarray(action)
+        if given.shape != np.shape(self.low):
+            raise ValueError(
+                f"action: expected the shape {np.shape(self.low)}, got {given.shape}; give one "
+                "number for each dimension of the description's bounds"
+            )
+        if not np.isfinite(given).all():
+            raise RobotFault(f"action: expected finite numbers, got {given.tolist()}")
+        # The bounds in the command's own precision: what lies within them stays as it is.
+        dtype = np.result_type(given, np.float32)
+        low, high = (np.asarray(bound, dtype) for bound in (self.low, self.high))
+        return np.clip(given.astype(dtype), low, high)
 
 
 class Robot(ABC):

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from contextlib import closing
 from typing import Any
 
-import numpy as np
 import zmq
 
 from rrl.robot import Robot, RobotFault, stopping
@@ -32,7 +31,8 @@ def serve(
     """Answer calls of :class:`~rrl.envs.plant.RemoteRobot` until ``running`` returns False.
 
     However it ends, the robot is told to stop (:func:`~rrl.robot.stopping`). Whatever its driver
-    raises refuses the call.
+    raises refuses the call, and so does a command that is not finite; others are clipped to the
+    description's bounds.
 
     Args:
         robot: Whom the calls are for; it is closed at the end.
@@ -127,7 +127,7 @@ class _Desk:
         if name == "describe":
             return {"description": vars(self.robot.description)}
         if name == "command":
-            self.robot.command(np.array(call["action"]))  # what was unpacked is read-only
+            self.robot.command(self.robot.description.within_bounds(call["action"]))
         elif name == "reset":
             if self.faults.active("refuse"):
                 raise RobotFault("told to")

@@ -9,7 +9,7 @@ import torch
 from torchrl.envs.utils import check_env_specs
 
 from rrl.envs import RobotEnv
-from rrl.robot import Description, EntrySpec, Observation, Robot
+from rrl.robot import Description, EntrySpec, Observation, Robot, RobotFault
 from rrl.trainers.requests import stand_still
 
 
@@ -89,6 +89,38 @@ def test_what_a_driver_writes_into_its_command_reaches_nobody_else():
     env = RobotEnv(WritesIntoItsCommand())
     td = env.reset().set("action", torch.ones(1))
     assert env.step(td)["action"].item() == 1.0
+
+
+class Commanded(Described):
+    """Notes what it is told."""
+
+    def __init__(self):
+        super().__init__()
+        self.description = Description(self.description.entries, (-0.1, 0.0), (0.1, 2.0), 0.001)
+        self.commands = []
+
+    def command(self, action):
+        self.commands.append(action)
+        super().command(action)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_driver_is_commanded_within_its_bounds(dtype):
+    env = RobotEnv(Commanded())
+    for action in ([5.0, -5.0], [0.05, 1.5], [0.1, 2.0]):
+        env.step(env.reset().set("action", torch.tensor(action, dtype=dtype)))
+    clipped, *within = (torch.from_numpy(command) for command in env.robot.commands)
+    assert torch.equal(clipped, torch.tensor([0.1, 0.0], dtype=dtype))
+    assert torch.equal(torch.stack(within), torch.tensor([[0.05, 1.5], [0.1, 2.0]], dtype=dtype))
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf"), float("-inf")])
+def test_what_is_not_finite_is_never_commanded(number):
+    env = RobotEnv(Commanded())
+    td = env.reset().set("action", torch.tensor([0.0, number]))
+    with pytest.raises(RobotFault, match=r"action: expected finite numbers, got \[0\.0, .*\]"):
+        env.step(td)
+    assert env.robot.commands == []
 
 
 class SaysNothing(Described):

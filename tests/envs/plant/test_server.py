@@ -24,7 +24,7 @@ class Recorder(Robot):
     description = Description({"reward": EntrySpec((1,))}, (-1.0,), (1.0,), 0.05)
 
     def __init__(self, error=None):
-        self.calls, self.error = [], error
+        self.calls, self.error, self.commands = [], error, []
 
     def observe(self):
         self.calls.append("observe")
@@ -32,6 +32,7 @@ class Recorder(Robot):
 
     def command(self, action):
         self.calls.append("command")
+        self.commands.append(action)
         if self.error is not None:
             raise self.error
 
@@ -106,6 +107,17 @@ def test_whatever_a_driver_raises_refuses_the_call():
             client.ask("dance", 10.0)
         client.observe()
     assert robot.calls == ["command", "observe", "stop", "close"]
+
+
+def test_a_driver_is_commanded_within_its_bounds_whoever_calls():
+    robot = Recorder()
+    with served(robot, an_address()) as client:
+        client.command(np.full(1, 5.0, np.float32))
+        with pytest.raises(RobotFault, match="command refused: action: expected finite numbers"):
+            client.command(np.full(1, np.nan))
+        with pytest.raises(RobotFault, match=r"command refused: action: expected the shape \(1,\)"):
+            client.command(np.zeros(2))
+    assert [command.tolist() for command in robot.commands] == [[1.0]]
 
 
 @pytest.mark.parametrize("address", ["ipc://plant", "nowhere"])
