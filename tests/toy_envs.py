@@ -117,6 +117,23 @@ class PointMass(EnvBase):
         self._generators.seed(seed)
 
 
+class OneSided(PointMass):
+    """A point whose action has bounds that are not symmetric about 0; notes what it executed."""
+
+    LOW, HIGH = (0.0, 2.0, -torch.inf, 5.0), (1.0, 4.0, torch.inf, torch.inf)
+
+    def __init__(self, batch_size: tuple[int, ...] = ()) -> None:
+        super().__init__(batch_size, dim=4)
+        low, high = (torch.tensor(b).expand(*batch_size, 4) for b in (self.LOW, self.HIGH))
+        self.full_action_spec = Composite(
+            {"action": Bounded(low, high, (*batch_size, 4))}, shape=batch_size
+        )
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        self.executed = tensordict["action"].clone()
+        return super()._step(tensordict)
+
+
 class RememberingPointMass(PointMass):
     """A point whose state can be saved, as a simulator's can."""
 

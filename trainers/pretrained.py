@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -166,8 +166,7 @@ def _policy(run: str | None) -> TensorDictSequential:
     """Return a module from the source's inputs to ``action`` in the environment's units."""
     config, policy = _source(run)
     factory = assembly.environment(config)
-    unit = _unit(factory)
-    in_units = TensorDictModule(lambda action: action * unit, in_keys=[ACTION], out_keys=[ACTION])
+    in_units = TensorDictModule(_to_units(factory), in_keys=[ACTION], out_keys=[ACTION])
     return TensorDictSequential(policy, in_units)
 
 
@@ -186,7 +185,7 @@ def _actions(run: str | None) -> Tensor:
             break
     env.close()
     actions, _ = tried[-1] if tried[-1][1] else tried[0]
-    return actions * _unit(factory)
+    return _to_units(factory)(actions)
 
 
 def _episode(env: EnvBase, policy: Any, seed: int, max_steps: int) -> tuple[Tensor, bool]:
@@ -212,14 +211,16 @@ def _source(run: str | None) -> tuple[Config, Any]:
     return config, trained_run(config, path).handed_over.policy
 
 
-def _unit(factory: EnvironmentFactory) -> Tensor:
-    """Return what an action of 1 stands for, ``[n_act]`` in the environment's units."""
+def _to_units(factory: EnvironmentFactory) -> Callable[[Tensor], Tensor]:
+    """Return what makes of a policy's action the command of a policy that acts alone."""
     env = factory.make(1)
-    half_range = limits_of(env.base_env.full_action_spec[ACTION]).half_range
+    limits = limits_of(env.base_env.full_action_spec[ACTION])
     env.close()
-    return half_range.reshape(-1, half_range.shape[-1])[0].cpu() * torch.as_tensor(
-        factory.residual_scale
+    middle, half_range = (
+        x.reshape(-1, x.shape[-1])[0].cpu() for x in (limits.middle, limits.half_range)
     )
+    unit = half_range * torch.as_tensor(factory.residual_scale)
+    return lambda action: middle + action * unit
 
 
 def _score(run: Run) -> tuple[float, float] | None:

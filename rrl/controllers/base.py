@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from tensordict import NestedKey, TensorDictBase, unravel_key
 from tensordict.nn import TensorDictModuleBase
-from torch import Tensor
+from torch import Tensor, nn
 
 from rrl.checks import missing, require
 from rrl.keys import BASE_ACTION
@@ -65,14 +65,13 @@ class Controller(TensorDictModuleBase):
         """Return what messages call it: the name of its class."""
         return type(self).__name__
 
-    def fit(self, shape: torch.Size) -> None:
-        """Learn the shape ``[n_act]`` of a slot's action before the first call.
+    def fit(self, middle: Tensor) -> None:
+        """Learn the middle ``[n_act]`` of the bounds of a slot's action before the first call.
 
-        Of several agents it is ``[n, n_act]``.
+        Of several agents it is ``[n, n_act]``. Controllers inside this one learn it too.
         """
-        for module in self.modules():
-            if isinstance(module, Controller) and module is not self:
-                module.fit(shape)
+        for controller in _nearest(self):
+            controller.fit(middle)
 
     def claim(self) -> int:
         """Give the memory to whoever drives the controller from now on.
@@ -193,6 +192,15 @@ class StatefulController(Controller):
 def floating(value: Tensor) -> Tensor:
     """Return whole numbers in the default type, where factors of less than 1 do not count as 0."""
     return value if value.is_floating_point() else value.to(torch.get_default_dtype())
+
+
+def _nearest(module: nn.Module) -> Iterator[Controller]:
+    """Yield the controllers inside a module, but not those inside them."""
+    for child in module.children():
+        if isinstance(child, Controller):
+            yield child
+        else:
+            yield from _nearest(child)
 
 
 def clipped(action: Tensor, limit: Tensor | None) -> Tensor:

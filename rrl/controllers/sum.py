@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
 
@@ -58,6 +59,10 @@ class SumController(Controller):
             self.register_buffer(f"_weight{number}", per_dimension("weights", weight))
         limit = None if clip is None else per_dimension("clip", clip, positive=True)
         self.register_buffer("_limit", limit)
+
+    def fit(self, middle: Tensor) -> None:
+        """Pass the action's shape on: a member in the middle of the bounds would shift the sum."""
+        super().fit(torch.zeros_like(middle))
 
     def act(self, tensordict: TensorDictBase) -> Tensor:
         """Return the clipped sum ``[*batch, n_act]``."""

@@ -190,7 +190,7 @@ class Intervention(ActionTransform):
 
     def _take_limits(self, action_spec: Composite) -> ActionLimits:
         limits = super()._take_limits(action_spec)
-        self.operator.fit(limits.shape[action_spec.ndim :])
+        self.operator.fit(limits.slot_middle(action_spec.ndim))
         return limits
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

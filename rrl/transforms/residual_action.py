@@ -172,7 +172,7 @@ class ResidualAction(ActionTransform):
     def _take_limits(self, action_spec: Composite) -> ActionLimits:
         self._span = None
         limits = super()._take_limits(action_spec)
-        self.controller.fit(limits.shape[action_spec.ndim :])
+        self.controller.fit(limits.slot_middle(action_spec.ndim))
         return limits
 
     def transform_action_spec(self, action_spec: Composite) -> Composite:

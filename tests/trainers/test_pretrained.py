@@ -21,6 +21,7 @@ from rrl.trainers.pretrained import (
     trained_run,
 )
 from rrl.trainers.seeds import Stream
+from toy_envs import OneSided
 
 SMALL = [
     "algorithm=td3",
@@ -43,8 +44,8 @@ def resolve(*overrides):
         )
 
 
-def train(run_dir, *overrides):
-    config = resolve(*overrides)
+def train(run_dir, *overrides, **replaced):
+    config = {**resolve(*overrides), **replaced}
     with assembly.trainer(config, run_dir) as trainer:
         results = trainer.run()
     write_results(results, run_dir / "results.json")
@@ -97,6 +98,32 @@ def test_as_a_controller_it_acts_as_it_did(alone, observed):
     expected = source.policy(observed[1].clone())["action"]
     given = policy_controller(str(run))(observed[1].clone())["base_action"]
     torch.testing.assert_close(given, expected, atol=1e-5, rtol=1e-5)
+
+
+ONE_SIDED = {
+    "name": "one-sided",
+    "base": {"_target_": "toy_envs.OneSided"},
+    "batching": "serial",
+    "max_episode_steps": 20,
+    "inputs": {"goal": {}},
+    "scenarios": {"training": None},
+}
+
+
+def test_where_bounds_are_not_symmetric_it_acts_as_it_did(tmp_path):
+    run = train(tmp_path / "run", "arm=rl", "env=insertion-sim", env=ONE_SIDED)
+    controller, replayed = policy_controller(str(run)), replay_controller(str(run)).actions
+    source = trained_run(config_of(run), run).agent
+    env = assembly.environment(config_of(run)).make(1)
+    with torch.no_grad():
+        td = env.reset()
+        says = controller(td.clone())["base_action"]
+        env.step(source.policy(td))
+    executed = env.base_env.executed
+    torch.testing.assert_close(says.clamp(min=torch.tensor(OneSided.LOW)), executed)
+    assert (
+        (replayed - torch.tensor([0.5, 3.0, 0.0, 5.0])).abs() <= torch.tensor([0.5, 1, 1, 1])
+    ).all()
 
 
 def test_the_recorded_sequence_repeats_the_episode_in_its_own_environment(alone):

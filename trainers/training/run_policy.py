@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
 
 from rrl.algorithms import Agent
 from rrl.controllers import ZeroController
@@ -16,6 +17,13 @@ from rrl.keys import ACTION
 from ..evaluation.episodes import Comparison
 from ..evaluation.evaluator import Evaluator
 from ..seeds import Stream
+
+
+class _NoResidual(ZeroController):
+    """Says 0 below any controller: the bounds of an environment's action are not a residual's."""
+
+    def fit(self, middle: Tensor) -> None:
+        """Stay at 0."""
 
 
 class RunPolicy:
@@ -35,7 +43,7 @@ class RunPolicy:
         self.tested, self.env_steps = tested, 0
         self._agent = agent
         self._learner: dict[str, Any] | None = None
-        self._policy: TensorDictModuleBase = ZeroController(agent.action_size, ACTION)
+        self._policy: TensorDictModuleBase = _NoResidual(agent.action_size, ACTION)
 
     @property
     def policy(self) -> TensorDictModuleBase:

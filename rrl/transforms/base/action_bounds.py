@@ -24,6 +24,17 @@ class ActionLimits(NamedTuple):
     shape: torch.Size
     dtype: torch.dtype
 
+    @property
+    def middle(self) -> Tensor:
+        """Of a dimension without two bounds: the number within them that is nearest to 0."""
+        middle = self.low / 2 + self.high / 2
+        nearest = torch.zeros_like(middle).clamp(self.low, self.high)
+        return torch.where(middle.isfinite(), middle, nearest)
+
+    def slot_middle(self, batch_dims: int) -> Tensor:
+        """Return the middle of one slot's bounds, ``[n_act]``; all slots have the same."""
+        return self.middle[(0,) * batch_dims]
+
 
 def action_leaf(action_spec: Composite, key: NestedKey) -> TensorSpec:
     """Return the spec of one action entry.
