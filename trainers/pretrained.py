@@ -26,7 +26,7 @@ from .generators import isolated_generators
 from .metric_names import ACCEPTED
 from .report.runs import Run
 from .seeds import Stream, first_seed
-from .storage.checkpoints import load_components
+from .storage.checkpoints import load_components, saved_note
 from .storage.run_files import CONFIG_FILE, seed_directories
 from .training.interface import interface_of
 from .training.run_policy import RunPolicy
@@ -41,6 +41,7 @@ __all__ = [
 ]
 
 Config = Mapping[str, Any]
+READ = ("inputs", "critic_inputs")
 EPISODES_TRIED = 20
 """How many frozen episodes are tried for one that the policy solves."""
 
@@ -98,15 +99,25 @@ def trained_run(config: Config, run_dir: Path) -> TrainedRun:
 
     Raises:
         FileNotFoundError: If something is to be trained, and there is no checkpoint.
-        ValueError: If none is whole.
+        ValueError: If none is whole, or ``config`` reads other entries than the run, or in another
+            order.
     """
     factory = assembly.environment(config)
     env = factory.make(1)
-    agent: Agent = assembly.agent(config)(**interface_of(factory, env).arguments())
+    interface = interface_of(factory, env)
+    agent: Agent = assembly.agent(config)(**interface.arguments())
     env.close()
     settings = assembly.settings(config)
     if not settings.total_steps:
         return TrainedRun(None, 0, agent, RunPolicy(agent, tested=True))
+    reads = interface.described()
+    learned = saved_note(run_dir).get("interface", reads)
+    for group in READ:  # their order is that of the networks' columns
+        if reads[group] != learned[group]:
+            raise ValueError(
+                f"env.{group}: expected {learned[group]} in this order, as {run_dir} has learned, "
+                f"got {reads[group]}; leave env.{group} as the run has it"
+            )
     handed_over = RunPolicy(agent, settings.acceptance.enabled)
     found = load_components(run_dir, {"agent": agent, "handed_over": handed_over})
     return TrainedRun(*found, agent, handed_over)
@@ -120,18 +131,20 @@ def start_from(agent: Agent, config: Config) -> None:
 
     Raises:
         FileNotFoundError: If there is no such run.
-        ValueError: If its policy reads other inputs or has networks of other sizes.
+        ValueError: If it reads other entries, or in another order, or has networks of other sizes.
     """
     run = (config.get("init_from") or {}).get("run")
     if run is None:
         return
     path = best_run(run)
     source = Run(path, path.name).config
-    if source["env"]["inputs"] != config["env"]["inputs"]:
-        raise ValueError(
-            f"init_from.run: expected a policy that reads {config['env']['inputs']}, got {run}, "
-            f"which reads {source['env']['inputs']}: give both runs the same env.inputs"
-        )
+    for group in READ:
+        reads, learned = (c["env"].get(group) or {} for c in (config, source))
+        if list(reads.items()) != list(learned.items()):
+            raise ValueError(
+                f"init_from.run: expected a run with env.{group} {reads} in this order, got {run} "
+                f"with {learned}; give both runs the same env.{group}, in the same order"
+            )
     trained = trained_run(source, path)
     if trained.handed_over.restore_learner():
         agent.start_from(trained.agent)

@@ -159,6 +159,21 @@ def test_a_policy_that_does_not_fit_is_refused(alone, tmp_path):
         start_from(trainer.agent, config)
 
 
+@pytest.mark.parametrize("group", ["inputs", "critic_inputs"])
+def test_entries_of_equal_sizes_in_another_order_are_refused(group, tmp_path):
+    read = {"goal": {}, "end_effector_position": {}}
+    env, turned = ({**ONE_SIDED, group: d} for d in (read, dict(reversed(read.items()))))
+    run = train(tmp_path / "run", "env=insertion-sim", "arm=rl", env=env)
+    config = resolve("env=insertion-sim", "arm=rl", f"init_from.run='{run}'") | {"env": turned}
+    with (
+        assembly.trainer(config, tmp_path / "next") as trainer,
+        pytest.raises(ValueError, match=rf"env\.{group}.*position.*goal.*goal.*position"),
+    ):
+        start_from(trainer.agent, config)
+    with pytest.raises(ValueError, match=rf"env\.{group}: expected .*goal.*position.*, got .*posi"):
+        trained_run({**config_of(run), "env": turned}, run)
+
+
 @pytest.fixture
 def residual(tmp_path):
     """Makes a run that took the policy of step 50, or none, and went on learning after it."""
