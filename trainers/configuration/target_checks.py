@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +11,11 @@ import torch
 from pydantic import ValidationError
 from torchrl.data import Bounded
 
+from rrl.algorithms import Agent, mlp
+from rrl.encoders import automatic
+
 from ..errors import place
-from ..training.factories import build, locate
+from ..training.factories import build, is_target, locate
 from .schema import Target, explain
 
 Config = Mapping[str, Any]
@@ -52,18 +55,37 @@ def _check_build(path: str, node: Target, given: Config, built: dict[str, Any]) 
     yield from found
     if found or not inspect.isclass(locate(node["_target_"])):
         return
+    make = _learner if path == "algorithm.agent" else build
     try:
-        built[path] = build(node)(**given)
+        built[path] = make(node)(**given)
     except ValidationError as error:
         yield from explain(error, path)
     except Exception as error:  # a target may say in any way that it does not like its arguments
         yield f"{path}: {_text(error)}"
 
 
+def _learner(node: Target) -> Callable[..., Any]:
+    """Return what makes of a learner what can be made without the environment's entries.
+
+    A learner, an encoder or a network of anybody's may need entries and sizes that only the built
+    environment tells: of such a learner the settings alone are made, and ours stand for such parts.
+    """
+    ours = {"encoder": automatic, "network": mlp}
+    parts = {key: value for key, value in node.items() if key in ours and is_target(value)}
+    others = {key for key, part in parts.items() if locate(part["_target_"]) is not ours[key]}
+    make = build({key: value for key, value in node.items() if key not in others})
+    if make.func.__module__.startswith(f"{Agent.__module__.rpartition('.')[0]}."):
+        return make
+    settings = getattr(make.func, "Settings", dict)
+    fields = getattr(settings, "model_fields", ())
+    known = {key: value for key, value in make.keywords.items() if key in fields}
+    return lambda **_: settings(**known)
+
+
 def _check_inner(path: str, node: Target) -> Problems:
     """Check the arguments of targets among a node's arguments."""
     for key, inner in node.items():
-        if isinstance(inner, Mapping) and "_target_" in inner:
+        if is_target(inner):
             yield from _check_arguments(f"{path}.{key}", dict(inner), None)
 
 

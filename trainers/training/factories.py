@@ -30,13 +30,18 @@ def locate(path: Any) -> Any:
         ) from error
 
 
-def build(node: Mapping[str, Any]) -> Callable[..., Any]:
+def is_target(value: Any) -> bool:
+    """Return whether a value of a configuration names what is to be built."""
+    return isinstance(value, Mapping) and "_target_" in value
+
+
+def build(node: Mapping[str, Any]) -> partial[Any]:
     """Turn a node with ``_target_`` into a factory: a partial of the target with its other entries.
 
     Entries that are such nodes themselves become factories too.
     """
     arguments = {
-        key: build(value) if isinstance(value, Mapping) and "_target_" in value else value
+        key: build(value) if is_target(value) else value
         for key, value in node.items()
         if key != "_target_"
     }

@@ -1,0 +1,46 @@
+"""What a configuration names by ``_target_`` is checked as far as it can be, and refused only for what is wrong."""
+
+import re
+from contextlib import nullcontext
+
+import pytest
+import torch
+
+from rrl.algorithms import TD3
+from rrl.trainers.cli.compose import compose
+from rrl.trainers.configuration import build as assembly
+
+
+class NeedsPixels(torch.nn.Module):
+    """An encoder, and a network, that nothing but the real entries and sizes will do for."""
+
+    def __init__(self, inputs=None, in_features=0, out_features=0):
+        super().__init__()
+        assert "pixels" in (inputs or {}) or in_features > 50
+
+
+class LooksForPixels(TD3):
+    """A learner that looks up its entries."""
+
+    def __init__(self, inputs, action_size, **settings):
+        super().__init__({"pixels": inputs["pixels"]}, action_size, **settings)
+
+
+@pytest.mark.parametrize("part", ["encoder", "network"])
+@pytest.mark.parametrize("wrong", [{}, {"actor_lr": -0.001}])
+def test_parts_that_need_the_real_entries_are_not_tried_on_others(part, wrong):
+    config = compose(["env=insertion-pixels"])
+    config["algorithm"]["agent"] |= {part: {"_target_": f"{__name__}.NeedsPixels"}, **wrong}
+    assert_said_of(config, "algorithm.agent.actor_lr" if wrong else "")
+
+
+@pytest.mark.parametrize("wrong", [{}, {"actor_lr": -0.001}])
+def test_a_learner_that_needs_the_real_entries_is_not_tried_on_others(wrong):
+    config = compose(["env=insertion-pixels"])
+    config["algorithm"]["agent"] |= {"_target_": f"{__name__}.LooksForPixels", **wrong}
+    assert_said_of(config, "algorithm.agent.actor_lr" if wrong else "")
+
+
+def assert_said_of(config, where):
+    with pytest.raises(ValueError, match=rf"^{re.escape(where)}: ") if where else nullcontext():
+        assembly.check(config)
