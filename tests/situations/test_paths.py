@@ -93,6 +93,24 @@ def test_several_seeds_and_runs_that_start_from_others(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seeds", [1, 2])
+def test_what_a_run_started_from_is_not_asked_for_again(tmp_path, monkeypatch, seeds):
+    monkeypatch.chdir(tmp_path)
+    quiet("train", *SMALL, "hydra.run.dir=source")
+    several = f"trainer.num_seeds={seeds}"
+    quiet("train", *SMALL, "init_from.run=source", several, "hydra.run.dir=run")
+    Path("source").rename("archived")
+    Path("elsewhere").mkdir()
+    monkeypatch.chdir("elsewhere")
+    seed = "../run" if seeds == 1 else "../run/seed-1"
+    quiet("evaluate", f"run={seed}")
+    quiet("export", f"run={seed}")
+    quiet("train", "resume=../run", "trainer.total_steps=150")
+    assert checkpoints(Path(seed))[-1] == 150
+    assert main(["train", *SMALL, "init_from.run=source"]) == 2
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_experiments_are_made_below_any_folder(tmp_path, name):
     home = tmp_path / NAMES[name]

@@ -147,7 +147,9 @@ def test_the_recorded_sequence_repeats_the_episode_in_its_own_environment(alone)
     ],
 )
 def test_a_run_that_is_not_there_is_named(overrides, message):
-    assert any(message in problem for problem in checks.problems(resolve(*overrides)))
+    config = resolve(*overrides)
+    assert any(message in problem for problem in checks.problems(config, new=True))
+    assert checks.problems(config) == []  # a run that has begun does not read it again
 
 
 def test_a_policy_that_does_not_fit_is_refused(alone, tmp_path):

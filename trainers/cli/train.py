@@ -34,8 +34,9 @@ MEDIA = (".png", ".mp4", ".gif")
 
 def train(config: assembly.Config, run_dir: Path, console: Output, *, resume: bool) -> None:
     """Train one seed here or several in a pool; leave table, curve, video and report."""
-    assembly.check(config, training=True)
-    if config["trainer"]["num_seeds"] > 1 or seed_directories(run_dir):
+    seeds = seed_directories(run_dir)  # of those that are there each is checked by itself
+    assembly.check(config, training=True, new=not (seeds or saved_note(run_dir)))
+    if config["trainer"]["num_seeds"] > 1 or seeds:
         train_seeds(config, run_dir, console, resume=resume)
         return
     if resume:

@@ -11,6 +11,7 @@ from ..environment import EnvironmentFactory, Input
 from ..loggers import MetricsLogger
 from ..metric import Metric
 from ..settings import TrainerSettings
+from ..storage.checkpoints import saved_note
 from ..training.factories import agent_factory, build
 from ..training.progress import Progress
 from ..training.trainer import Trainer
@@ -98,7 +99,7 @@ def trainer(config: Config, run_dir: Path, progress: Progress | None = None) -> 
     Raises:
         ValueError: See :func:`check`.
     """
-    check(config, training=True)
+    check(config, training=True, new=not saved_note(run_dir))
     return Trainer(
         settings(config),
         environment(config),
@@ -112,17 +113,18 @@ def trainer(config: Config, run_dir: Path, progress: Progress | None = None) -> 
     )
 
 
-def check(config: Config, *, training: bool = False) -> None:
+def check(config: Config, *, training: bool = False, new: bool = False) -> None:
     """Find what is wrong with a configuration before any environment is built.
 
     Args:
         config: Resolved.
         training: Whether it is to be trained, so that this machine needs its device.
+        new: Whether it is a run's start, which alone reads the initial weights.
 
     Raises:
         ValueError: With every problem, one per line: where, what was expected, what came.
     """
-    if problems := checks.problems(config, training=training):
+    if problems := checks.problems(config, training=training, new=new):
         raise ValueError("\n".join(problems))
 
 

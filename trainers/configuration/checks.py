@@ -20,19 +20,21 @@ from .schema import Schema, explain
 from .target_checks import Config, Problems, check_targets, entries
 
 
-def problems(config: Config, *, training: bool = False) -> list[str]:
+def problems(config: Config, *, training: bool = False, new: bool = False) -> list[str]:
     """Return everything that is wrong, one line each: where, what was expected, what came.
 
     Args:
         config: Resolved.
         training: Whether it is to be trained, so that this machine needs its device.
+        new: Whether it is a run's start, which alone reads the initial weights.
     """
     try:
         Schema.model_validate(config)
     except ValidationError as error:
         return explain(error)
     built: dict[str, Any] = {}
-    found = [*check_targets(config, built), *_check_render(config), *_check_init_from(config)]
+    found = [*check_targets(config, built), *_check_render(config)]
+    found += _check_init_from(config) if new else ()
     packages = config["env"].get("packages") or ()
     found += _check_device(config) if training else ()
     found += [f"env.packages: expected installed packages, got {n!r}" for n in missing(packages)]

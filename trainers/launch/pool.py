@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from ..configuration.checks import problems
 from ..configuration.target_checks import may_be_robot
 from ..console import Output
+from ..storage.checkpoints import saved_note
 from ..training.interruption import Interruption
 from ..training.realtime.hand_over import FOLDER, HandOver
 from .display import Display
@@ -113,9 +114,10 @@ def require_all(ending: Ending, console: Output) -> None:
 def _check(jobs: Sequence[Job]) -> None:
     """Name every problem once, with the runs that have it; seeds of one folder are alike."""
     found: dict[str, str] = {}
-    for folder, job in {job.path.parent: job for job in jobs}.items():
-        sourced = {"init_from": None} if job.needs else {}  # what it starts from is made first
-        for problem in problems({**job.config, **sourced}):
+    new = [job for job in jobs if not saved_note(job.path)]
+    for folder, job in {job.path.parent: job for job in [*jobs, *new]}.items():
+        # What it needs is made first; what has a checkpoint starts from nothing else.
+        for problem in problems(job.config, new=job in new and not job.needs):
             found.setdefault(problem, folder.name)
     if found:
         raise ValueError("\n".join(f"{runs}: {problem}" for problem, runs in found.items()))
