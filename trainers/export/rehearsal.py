@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
+from torch.nn.functional import one_hot
+from torchrl.data import MultiOneHot, OneHot, TensorSpec
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
@@ -120,7 +122,7 @@ class Rehearsal:
         for key in self._keys.values():
             spec = self._robot.observation_spec[key]
             if not spec.dtype.is_floating_point:
-                td.set(key, spec.project(self._whole(spec.shape, spec.dtype)))
+                td.set(key, self._whole(spec))
                 continue
             center, scale = torch.zeros(()), torch.ones(())
             if key in self._inputs:
@@ -130,10 +132,17 @@ class Rehearsal:
             td.set(key, spec.project(value.reshape(spec.shape).to(spec.dtype)))
         return td
 
-    def _whole(self, shape: torch.Size, dtype: torch.dtype) -> Tensor:
-        """Make up flags, bytes of a picture, or whole numbers around zero."""
-        low, high = {torch.bool: (0, 2), torch.uint8: (0, 256)}.get(dtype, (-9, 10))
-        return torch.randint(low, high, shape, generator=self._generator).to(dtype)
+    def _whole(self, spec: TensorSpec) -> Tensor:
+        """Make up flags, bytes of a picture, one of several choices, or numbers around zero."""
+        if isinstance(spec, (OneHot, MultiOneHot)):
+            choices = spec.nvec if isinstance(spec, MultiOneHot) else [spec.shape[-1]]
+            parts = [one_hot(self._random(0, n, spec.shape[:-1]), n) for n in choices]
+            return torch.cat(parts, -1).to(spec.dtype)
+        low, high = {torch.bool: (0, 2), torch.uint8: (0, 256)}.get(spec.dtype, (-9, 10))
+        return spec.project(self._random(low, high, spec.shape).to(spec.dtype))
+
+    def _random(self, low: int, high: int, shape: torch.Size) -> Tensor:
+        return torch.randint(low, high, shape, generator=self._generator)
 
     def _broken(self, key: NestedKey) -> Iterator[list[TensorDictBase]]:
         """Yield episodes of two steps, with a number in the second that is not finite."""

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from tensordict.nn import TensorDictModule
+from torchrl.data import Binary, Bounded, Categorical, MultiOneHot, OneHot, Unbounded
 from torchrl.envs import GymEnv
 from torchrl.envs.transforms import Transform
 
@@ -16,16 +17,22 @@ from agents import random_policy
 from benchmarks.deploy.episodes import trainers_episode
 from pixel_envs import PixelPoint
 from rrl.algorithms import TD3, mlp
-from rrl.controllers import Controller, ProportionalController, StatefulController
+from rrl.controllers import (
+    Controller,
+    ProportionalController,
+    StatefulController,
+    ZeroController,
+)
 from rrl.deploy import Policy, read_contract
 from rrl.deploy.policy import onnx_graph
 from rrl.robot import RobotFault
 from rrl.trainers.descriptions import named
-from rrl.trainers.environment import EnvironmentFactory
+from rrl.trainers.environment import EnvironmentFactory, Input
 from rrl.trainers.evaluation.rollout import zero_residual
 from rrl.trainers.export.folder import export_policy
 from rrl.transforms import ControlNoise, FiniteAction, StepLimit
 from rrl.transforms.base import RandomTransform, SlotTransform
+from situation_envs import Machine
 from toy_envs import PointMass
 
 KEYS = ["end_effector_position", "goal"]
@@ -83,6 +90,29 @@ def test_a_controller_that_cannot_be_recorded_stays_outside(controller, tmp_path
     assert [e.name for e in exported.contract.entries] == [*KEYS, "base_action"]
     episode = trainers_episode(factory, policy, exported, seed=1)
     np.testing.assert_allclose(episode.shadow, episode.commands, rtol=0, atol=1e-6)
+
+
+ENTRIES = {
+    "position": Unbounded((2,)),
+    "one-hot": OneHot(3),
+    "one-hot numbers": OneHot(3, dtype=torch.int64),
+    "several": MultiOneHot([3, 2]),
+    "category": Categorical(3, (1,)),
+    "flags": Binary(2, dtype=torch.int8),
+    "steps": Bounded(0, 5, (3,), dtype=torch.int64),
+    "picture": Bounded(0, 255, (2, 2), dtype=torch.uint8),
+    ("nested", "one-hot"): OneHot(2),
+}
+
+
+@pytest.mark.parametrize("inputs", [["position"], list(ENTRIES)], ids=["unread", "read"])
+def test_every_kind_of_entry_is_rehearsed(inputs, tmp_path):
+    machine, read = partial(Machine, ENTRIES), dict.fromkeys(inputs, Input())
+    factory = point(base=machine, controller=ZeroController, inputs=read, batching="serial")
+    content = export_policy(factory, policy_for(factory), tmp_path / "export")
+    assert [entry["name"] for entry in content["entries"]] == [
+        name if isinstance(name, str) else ".".join(name) for name in inputs
+    ]
 
 
 def test_a_runtime_that_fails_is_not_blamed_on_the_chain(tmp_path, monkeypatch):
