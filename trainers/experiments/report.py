@@ -26,8 +26,8 @@ STATISTICS = (
     "Every number is from frozen episodes without exploration, the same for every seed and arm; "
     "the controller alone runs the same episodes. Means are over seeds with Student's t interval; "
     "intervals of final success are over runs and the episodes that all of them play, bands of "
-    "curves over runs on these episodes; IQM is the interquartile mean with a stratified bootstrap, "
-    "which of at most three seeds is their mean."
+    "curves over runs on these episodes; IQM is the interquartile mean with a stratified "
+    "bootstrap, which of at most three seeds is their mean."
 )
 CLAIMS_HEADER = ["claim", "the paper", "verdict", "numbers", "criterion"]
 
