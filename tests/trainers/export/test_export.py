@@ -177,6 +177,21 @@ def test_a_chain_without_memory_has_no_state(tmp_path):
     assert content["ends_episode"] is None
 
 
+def test_flags_that_an_environment_writes_as_numbers_are_no_obstacle(tmp_path):
+    class Numbers(PointMass):
+        def __init__(self, *args):
+            super().__init__(*args)
+            self.observation_spec["success"] = Unbounded((*self.batch_size, 1))
+
+        def _observe(self):
+            out = super()._observe()
+            return out | {"success": out["success"].float()}
+
+    factory = point(base=lambda num_envs=1: Numbers([num_envs]))
+    content = export_policy(factory, policy_for(factory), tmp_path / "export")
+    assert [e["name"] for e in content["entries"]] == KEYS
+
+
 def test_what_is_recorded_of_the_executed_action_survives_without_its_noise(tmp_path):
     factory = point(disturbances=[partial(ControlNoise, mu=0.3)], inputs=[*KEYS, "executed_action"])
     content = export_policy(factory, policy_for(factory), tmp_path / "export")
