@@ -60,9 +60,11 @@ class Concatenate(nn.Module):
             part = slice(first, first + entry.size)
             first += entry.size
             if entry.is_derived:
-                loc, scale = standardization(value.reshape(len(value), -1))
+                flat = value.reshape(len(value), -1)
+                loc, scale = standardization(flat)
                 self.loc[part], self.scale[part] = loc.to(self.loc), scale.to(self.scale)
-                self.limit[part] = FEATURE_LIMIT
+                # An entry that stood still does not tell its unit: it keeps its own, unclipped.
+                self.limit[part] = FEATURE_LIMIT if (flat != flat[:1]).any() else torch.inf
                 found[key] = {"loc": loc.tolist(), "scale": scale.tolist()}
         return found
 

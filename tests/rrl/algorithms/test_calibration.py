@@ -16,7 +16,7 @@ from rrl.algorithms.calibration import (
     reward_factor,
     warmup_length,
 )
-from rrl.encoders.concatenate import standardization
+from rrl.encoders.concatenate import Concatenate, standardization
 from rrl.inputs import Input
 from rrl.n_step import STEPS
 
@@ -181,6 +181,14 @@ def test_a_number_that_does_not_move_is_not_blown_up():
     torch.testing.assert_close(scale[:2], 1 / values.std(0)[:2], rtol=0.01, atol=0)
     assert 1 < scale[2] < 100
     assert standardization(torch.full((10, 2), 7.0))[1].tolist() == [1.0, 1.0]
+
+
+def test_an_entry_that_stood_still_is_not_clipped():
+    encoder = Concatenate({"force": Input(shape=(2,)), "place": Input(shape=(2,))})
+    place = torch.randn(300, 2) * torch.tensor([1.0, 0.0])
+    encoder.calibrate(torch.full((300, 2), 0.5), place)
+    force = torch.tensor([[20.5, 50.5]])
+    assert encoder(force, 1e3 * torch.ones(1, 2)).tolist() == [[20.0, 50.0, 10.0, 10.0]]
 
 
 def test_only_entries_without_center_and_scale_are_standardized():
