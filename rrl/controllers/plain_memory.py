@@ -1,4 +1,8 @@
-"""What an object remembers, as plain data: what is saved is loaded without executing code."""
+"""What an object remembers, as plain data: what is saved is loaded without executing code.
+
+Of NumPy's arrays and numbers that holds for a trainer's checkpoints; ``torch.load`` by itself reads
+them with ``weights_only=False`` alone.
+"""
 
 from __future__ import annotations
 
