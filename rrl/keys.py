@@ -64,6 +64,11 @@ EXCEEDS_AUTHORITY = "exceeds_authority"
 """Whether no residual would have given this transition's command, bool."""
 
 
+def dotted(key: NestedKey) -> str:
+    """Return a key as YAML and contracts write it: the parts of a nested one joined by dots."""
+    return key if isinstance(key, str) else ".".join(key)
+
+
 def leaf(key: NestedKey) -> str:
     """Return the last part of a key."""
     return key if isinstance(key, str) else key[-1]

@@ -9,7 +9,7 @@ import torch
 from torchrl.envs import EnvBase
 
 from rrl.inputs import Input, channels_of
-from rrl.keys import ACTION, BASE_ACTION, PREVIOUS_ACTION
+from rrl.keys import ACTION, BASE_ACTION, PREVIOUS_ACTION, dotted
 from rrl.transforms.base.action_bounds import limits_of
 
 from .entry_checks import check_number
@@ -23,11 +23,11 @@ def as_inputs(given: Mapping[str, Input] | Sequence[str]) -> dict[str, Input]:
 
 
 def read_inputs(what: str, wanted: dict[str, Input], env: EnvBase) -> dict[str, Input]:
-    """Return inputs with the shapes that they have in ``env``.
+    """Return inputs with the shapes that they have in ``env``, by their keys there.
 
     Args:
         what: What they are called in messages.
-        wanted: The inputs.
+        wanted: The inputs, by key; dots may join the parts of a nested one, as in YAML.
         env: The environment.
 
     Raises:
@@ -37,10 +37,12 @@ def read_inputs(what: str, wanted: dict[str, Input], env: EnvBase) -> dict[str, 
     """
     spec = env.observation_spec
     keys = list(spec.keys(True, True))
+    nested = {dotted(key): key for key in keys if isinstance(key, tuple)}
+    wanted = {n if n in keys else nested.get(n, n): entry for n, entry in wanted.items()}
     if missing := [name for name in wanted if name not in keys]:
         raise KeyError(
             f"{what}: expected entries of the environment, which are "
-            f"{', '.join(sorted(map(str, keys)))}, got {missing[0]!r}"
+            f"{', '.join(sorted(map(dotted, keys)))}, got {missing[0]!r}"
         )
     for name in wanted:
         check_number(f"{what}.{name}", spec[name])

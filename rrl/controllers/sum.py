@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -19,7 +19,7 @@ class SumController(Controller):
     With one controller it scales or clips that one.
 
     Args:
-        controllers: At least one controller.
+        controllers: At least one controller, or what makes one.
         weights: w_i, one for each controller, each a number or one for each dimension; None: all 1.
         clip: Largest magnitude of the sum, a number or one for each dimension, positive; None: no
             clipping.
@@ -33,12 +33,12 @@ class SumController(Controller):
 
     def __init__(
         self,
-        controllers: Sequence[Controller],
+        controllers: Sequence[Controller | Callable[[], Controller]],
         weights: Sequence[float | Sequence[float]] | None = None,
         clip: float | Sequence[float] | None = None,
         out_key: NestedKey = BASE_ACTION,
     ) -> None:
-        members = list(controllers)
+        members = [c if isinstance(c, nn.Module) or not callable(c) else c() for c in controllers]
         check("controllers", members, "at least one controller", bool(members))
         if wrong := [type(c).__name__ for c in members if not isinstance(c, Controller)]:
             raise TypeError(

@@ -84,9 +84,17 @@ def _learner(node: Target) -> Callable[..., Any]:
 
 def _check_inner(path: str, node: Target) -> Problems:
     """Check the arguments of targets among a node's arguments."""
-    for key, inner in node.items():
+    for where, inner in _inner(path, node):
+        yield from _check_arguments(where, inner, None)
+
+
+def _inner(path: str, value: Any) -> Iterator[tuple[str, Target]]:
+    """Yield the targets below a value, in mappings and lists, and where they stand."""
+    items = value.items() if isinstance(value, Mapping) else ()
+    for key, inner in enumerate(value) if isinstance(value, list) else items:
         if is_target(inner):
-            yield from _check_arguments(f"{path}.{key}", dict(inner), None)
+            yield f"{path}.{key}", dict(inner)
+        yield from _inner(f"{path}.{key}", inner)
 
 
 def _check_environment(path: str, node: Target) -> Problems:

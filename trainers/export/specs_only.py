@@ -12,6 +12,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 from torchrl.envs.transforms import Transform
 
+from rrl.keys import dotted
 from rrl.transforms.base import RandomTransform
 
 from ..environment import EnvironmentFactory
@@ -54,8 +55,7 @@ class SpecsOnly(EnvBase):
 
     def entry_keys(self) -> dict[str, NestedKey]:
         """Return the observations' keys by name, the parts of a nested one joined by dots."""
-        keys = self.observation_spec.keys(True, True)
-        return {key if isinstance(key, str) else ".".join(key): key for key in keys}
+        return {dotted(key): key for key in self.observation_spec.keys(True, True)}
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         return self.shown.select(*self.observation_spec.keys(True, True)).clone()

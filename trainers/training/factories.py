@@ -38,14 +38,23 @@ def is_target(value: Any) -> bool:
 def build(node: Mapping[str, Any]) -> partial[Any]:
     """Turn a node with ``_target_`` into a factory: a partial of the target with its other entries.
 
-    Entries that are such nodes themselves become factories too.
+    Such nodes among its entries, at any depth, become factories too. YAML has no tuples: in entries
+    called ``..._key`` and ``..._keys`` a list stands for a nested key.
     """
-    arguments = {
-        key: build(value) if is_target(value) else value
-        for key, value in node.items()
-        if key != "_target_"
-    }
+    arguments = {key: _argument(key, value) for key, value in node.items() if key != "_target_"}
     return partial(locate(node["_target_"]), **arguments)
+
+
+def _argument(name: str, value: Any) -> Any:
+    if is_target(value):
+        return build(value)
+    if isinstance(value, Mapping):
+        return {key: _argument(key, inner) for key, inner in value.items()}
+    if not isinstance(value, list):
+        return value
+    if name.endswith("_key"):
+        return tuple(value)
+    return [_argument("_key" if name.endswith("_keys") else "", inner) for inner in value]
 
 
 def agent_factory(
