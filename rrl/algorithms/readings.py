@@ -12,7 +12,7 @@ from torch import Tensor
 from rrl.checks import check, check_whole, require
 from rrl.encoders.interface import EncoderFactory, Inputs
 from rrl.inputs import Input
-from rrl.keys import CRITIC_OBSERVATION, OBSERVATION
+from rrl.keys import ACTION, CRITIC_OBSERVATION, OBSERVATION
 
 
 def with_shapes(inputs: Mapping[NestedKey, Input | int] | None) -> dict[NestedKey, Input]:
@@ -111,16 +111,17 @@ class Readings:
         learn: Whether an encoder learns.
 
     Raises:
-        ValueError: If there is no entry, or one is called as features are.
+        ValueError: If there is no entry, or one is called as features or the action are.
     """
 
     def __init__(self, inputs: Inputs, critic_inputs: Inputs, make_encoder: EncoderFactory) -> None:
         check("inputs", list(inputs), "at least one observation entry", bool(inputs))
-        for key in (OBSERVATION, CRITIC_OBSERVATION):
+        taken = dict.fromkeys((OBSERVATION, CRITIC_OBSERVATION), "features go")
+        for key, what in {**taken, ACTION: "what the policy says goes"}.items():
             if key in inputs or key in critic_inputs:
                 raise ValueError(
-                    f"inputs: expected no entry called {key!r}, which is where features go; "
-                    "rename it (torchrl.envs.RenameTransform)"
+                    f"inputs: expected no entry called {key!r}, which is where {what}; rename it "
+                    "(torchrl.envs.RenameTransform)"
                 )
         shared = not critic_inputs
         self.actor = Reading(OBSERVATION, inputs, make_encoder, taught_by_policy=not shared)

@@ -77,6 +77,14 @@ def test_text_as_an_input_is_refused_by_name(make_trainer, factory):
         make_trainer(environment).run()
 
 
+@pytest.mark.parametrize("group", ["inputs", "critic_inputs"])
+def test_the_action_as_an_input_is_refused_by_name(make_trainer, factory, group):
+    entries = {"position": Unbounded((2,)), "action": Unbounded((2,))}
+    environment = factory(partial(Machine, entries), **{group: ["position", "action"]})
+    with pytest.raises(ValueError, match="inputs: expected no entry called 'action'.*rename it"):
+        make_trainer(environment)
+
+
 @pytest.mark.parametrize("dtype", [torch.bfloat16, torch.uint16])
 def test_numbers_that_cannot_be_stored_are_refused_by_name(make_trainer, factory, dtype):
     environment = factory(partial(Machine, {"position": Unbounded((2,), dtype=dtype)}))
