@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import torch
 from torchrl.envs import EnvBase
@@ -36,8 +37,8 @@ def read_inputs(what: str, wanted: dict[str, Input], env: EnvBase) -> dict[str, 
         ValueError: If a center or scale does not fit its entry.
     """
     spec = env.observation_spec
-    keys = list(spec.keys(True, True))
-    nested = {dotted(key): key for key in keys if isinstance(key, tuple)}
+    keys: list[Any] = list(spec.keys(True, True))
+    nested: dict[str, Any] = {dotted(key): key for key in keys if isinstance(key, tuple)}
     wanted = {n if n in keys else nested.get(n, n): entry for n, entry in wanted.items()}
     if missing := [name for name in wanted if name not in keys]:
         raise KeyError(

@@ -40,12 +40,13 @@ class SumController(Controller):
     ) -> None:
         members = [c if isinstance(c, nn.Module) or not callable(c) else c() for c in controllers]
         check("controllers", members, "at least one controller", bool(members))
+        found = [c for c in members if isinstance(c, Controller)]
         if wrong := [type(c).__name__ for c in members if not isinstance(c, Controller)]:
             raise TypeError(
                 f"controllers: expected Controllers, got {wrong}; wrap a policy in a "
                 "PolicyController"
             )
-        stateful = [id(part) for c in members for part in c.stateful()]
+        stateful = [id(part) for c in found for part in c.stateful()]
         if len(set(stateful)) < len(stateful):
             raise ValueError(
                 "controllers: expected each one with a memory once, got one of them twice; make "
@@ -53,7 +54,7 @@ class SumController(Controller):
             )
         factors = [1.0] * len(members) if weights is None else list(weights)
         check("weights", weights, f"{len(members)}, one a controller", len(factors) == len(members))
-        super().__init__(list(dict.fromkeys(key for c in members for key in c.in_keys)), out_key)
+        super().__init__(list(dict.fromkeys(key for c in found for key in c.in_keys)), out_key)
         self.controllers = nn.ModuleList(members)
         for number, weight in enumerate(factors):
             self.register_buffer(f"_weight{number}", per_dimension("weights", weight))

@@ -81,7 +81,7 @@ def test_text_as_an_input_is_refused_by_name(make_trainer, factory):
 def test_the_action_as_an_input_is_refused_by_name(make_trainer, factory, group):
     entries = {"position": Unbounded((2,)), "action": Unbounded((2,))}
     environment = factory(partial(Machine, entries), **{group: ["position", "action"]})
-    with pytest.raises(ValueError, match="inputs: expected no entry called 'action'.*rename it"):
+    with pytest.raises(ValueError, match=r"inputs: expected no entry called 'action'.*rename it"):
         make_trainer(environment)
 
 
