@@ -107,7 +107,7 @@ class Collection(ABC):
             raise
 
     def stop_at_once(self) -> None:  # noqa: B027
-        """Have what would go on without this process end; nothing is waited for."""
+        """Have a robot stand still, or a process end that goes on alone; nothing is waited for."""
 
     @abstractmethod
     def state_dict(self) -> dict[str, Any]:
@@ -211,6 +211,8 @@ class InTurn(Collection):
         """Have a robot stand still; what is collected next begins with an episode."""
         self._stands = stop_of(self.env) is not None
         stand_still(self.env)
+
+    stop_at_once = stop
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state of episode, exploration and running returns."""

@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 
 import pytest
 
@@ -27,19 +28,39 @@ def rrl(*arguments):
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_a_signal_in_an_evaluation_stops_the_robot(run, number):
-    calls = run.parent / "calls.txt"
     command = rrl("evaluate", f"run={run}", "trainer.evaluation.final_episodes=100")
+    with driving(command, run.parent) as evaluation:
+        evaluation.send_signal(number)
+        assert evaluation.wait(60) == 128 + number
+    assert (run.parent / "calls.txt").read_text().endswith("stop\n")
+
+
+@pytest.mark.slow
+def test_a_second_signal_in_training_ends_at_once_and_stops_the_robot(tmp_path):
+    write_robot_project(tmp_path)
+    command = rrl("train", *FEW, "arm=residual", "trainer.steps_per_collection=1000")
+    with driving(command, tmp_path) as training:  # its round takes twenty seconds
+        training.send_signal(signal.SIGTERM)
+        time.sleep(1.0)
+        assert training.poll() is None
+        training.send_signal(signal.SIGTERM)
+        assert training.wait(10) == -signal.SIGTERM
+    assert (tmp_path / "calls.txt").read_text().endswith("stop\n")
+
+
+@contextmanager
+def driving(command, folder):
+    """A process that commands the robot by now; killed at the end."""
+    calls = folder / "calls.txt"
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    with subprocess.Popen(command, cwd=run.parent, preexec_fn=all_heard, **quiet) as evaluation:
+    with subprocess.Popen(command, cwd=folder, preexec_fn=all_heard, **quiet) as process:
         try:
             while not (calls.exists() and calls.read_text().endswith("command\ncommand\n")):
-                assert evaluation.poll() is None
+                assert process.poll() is None
                 time.sleep(0.01)
-            evaluation.send_signal(number)
-            assert evaluation.wait(60) == 128 + number
+            yield process
         finally:
-            evaluation.kill()
-    assert calls.read_text().endswith("stop\n")
+            process.kill()
 
 
 def all_heard():
