@@ -43,7 +43,7 @@ def check_targets(config: Config, built: dict[str, Any]) -> Problems:
     for path, overrides in {"env.base": {}, **scenarios}.items():
         yield from _check_environment(path, {**env["base"], **(overrides or {})})
     if env.get("renderer"):
-        yield from _check_arguments("env.renderer", env["renderer"], 2)
+        yield from _check_renderer("env.renderer", env["renderer"])
 
 
 def _check_build(path: str, node: Target, given: Config, built: dict[str, Any]) -> Problems:
@@ -97,6 +97,22 @@ def _inner(path: str, value: Any) -> Iterator[tuple[str, Target]]:
         yield from _inner(f"{path}.{key}", inner)
 
 
+def _check_renderer(path: str, node: Target) -> Problems:
+    """Check that a renderer can be called as ``renderer(base_env, states, width=, height=)``."""
+    size = {"width": 640, "height": 480}
+    found = [*_check_inner(path, node), *_check_arguments(path, node, size, positional=2)]
+    yield from found
+    if found:
+        return
+    parameters = _parameters(locate(node["_target_"]))
+    lacking = sorted({*size} - {*parameters})
+    if lacking and not _takes_any(parameters):
+        yield (
+            f"{path}: expected a function (base_env, states, width=..., height=...), got "
+            f"{node['_target_']} without {' and '.join(lacking)}"
+        )
+
+
 def _check_environment(path: str, node: Target) -> Problems:
     """Check an environment's arguments by signature, and by ``check_arguments`` if it has one."""
     found = [*_check_inner(path, node), *_check_arguments(path, node, {"num_envs": 1})]
@@ -128,13 +144,16 @@ def may_be_robot(config: Config) -> bool:
     return bool(config["trainer"]["collection"] == "realtime")
 
 
-def _check_arguments(path: str, node: Target, given: Config | int | None) -> Problems:
+def _check_arguments(
+    path: str, node: Target, given: Config | None, positional: int = 0
+) -> Problems:
     """Compare a node with its target's signature.
 
     Args:
         path: Where the node stands.
         node: The node.
-        given: Arguments that others supply: by name, the first so many, or None: all that lack.
+        given: Arguments that others supply by name; None: all that lack.
+        positional: How many they supply besides, the first ones.
     """
     target = node.get("_target_")
     if not isinstance(target, str):
@@ -146,9 +165,9 @@ def _check_arguments(path: str, node: Target, given: Config | int | None) -> Pro
         yield f"{path}: {error}{_reason(error.__cause__)}"
         return
     names = [n for n, p in parameters.items() if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)]
-    supplied = set(names[:given]) if isinstance(given, int) else set(given or ())
+    supplied = {*names[:positional], *(given or ())}
     takes = [n for n in names if n not in supplied]
-    if not any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
+    if not _takes_any(parameters):
         for key in sorted(set(node) - set(names) - {"_target_"}):
             yield f"{path}: {target} does not take {key!r}; it takes {', '.join(takes)}"
     for name in takes if given is not None else ():
@@ -176,6 +195,10 @@ def _parameters(target: Any) -> dict[str, inspect.Parameter]:
     keyword = inspect.Parameter.KEYWORD_ONLY
     fields = [*settings.model_fields, "symmetry", "episode_steps", "critic_inputs"]
     return kept | {n: inspect.Parameter(n, keyword, default=None) for n in fields}
+
+
+def _takes_any(parameters: Mapping[str, inspect.Parameter]) -> bool:
+    return any(p.kind is p.VAR_KEYWORD for p in parameters.values())
 
 
 def _reason(error: BaseException | None) -> str:

@@ -44,3 +44,30 @@ def test_a_learner_that_needs_the_real_entries_is_not_tried_on_others(wrong):
 def assert_said_of(config, where):
     with pytest.raises(ValueError, match=rf"^{re.escape(where)}: ") if where else nullcontext():
         assembly.check(config)
+
+
+def film(env, states, width, height):
+    """As documented."""
+
+
+def film_anyhow(*args, **kwargs):
+    """Takes whatever comes."""
+
+
+def film_in_one_size(env, states, height=64):
+    """Takes no width."""
+
+
+@pytest.mark.parametrize(
+    ("renderer", "said"),
+    [
+        (film, ""),
+        (film_anyhow, ""),
+        (film_in_one_size, "env.renderer: expected a function .* without width"),
+    ],
+)
+def test_a_renderer_takes_what_it_is_called_with(renderer, said):
+    config = compose(["env=insertion-sim"])
+    config["env"]["renderer"] = {"_target_": f"{__name__}.{renderer.__name__}"}
+    with pytest.raises(ValueError, match=said) if said else nullcontext():
+        assembly.check(config)
