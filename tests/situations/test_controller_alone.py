@@ -1,8 +1,10 @@
 """A run of the controller alone, whose video fails: what is there, and what is found in it again."""
 
 import json
+import sys
 
 import pytest
+import yaml
 
 from rrl.trainers.cli import evaluate
 from rrl.trainers.cli.main import main
@@ -31,6 +33,37 @@ def test_the_controller_alone_is_evaluated_again(controller_run):
     before = json.loads((controller_run / "results.json").read_text())
     for scenario, record in json.loads(again.read_text()).items():
         assert before[scenario]["episodes"].items() <= record["episodes"].items()
+
+
+@pytest.fixture
+def sweep(controller_run, tmp_path, monkeypatch):
+    """Evaluates the run with 1 and with 2 episodes, in a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", sys.argv)
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "1")
+    episodes = ["-m", "trainer.evaluation.final_episodes=1,2"]
+    return lambda *changes: main(["evaluate", f"run={controller_run}", *episodes, *changes])
+
+
+def test_a_sweep_of_evaluations_says_what_each_was(controller_run, sweep, tmp_path):
+    before = set(controller_run.glob("evaluation-*.json"))
+    assert sweep() == 0
+    assert not list(tmp_path.iterdir())
+    made = set(controller_run.glob("evaluation-*.json")) - before
+    counts = []
+    for path in made:
+        asked = yaml.safe_load(path.with_suffix(".yaml").read_text())["trainer"]["evaluation"]
+        records = json.loads(path.read_text()).values()
+        counts.append(asked["final_episodes"])
+        assert all(len(record["episodes"]["return"]) == counts[-1] for record in records)
+    assert sorted(counts) == [1, 2]
+
+
+def test_a_failed_evaluation_of_a_sweep_is_in_plain_words(sweep, capsys):
+    fault = "{_target_:rrl.transforms.ObservationNoise,sigma:0.1,in_keys:[nowhere]}"
+    assert sweep(f"+env.sensing.fault={fault}") == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len([line for line in lines if "): ObservationNoise: expected the entry" in line]) == 2
 
 
 @pytest.mark.parametrize("changed", [False, True])

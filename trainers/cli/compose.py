@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, ClassVar, cast
 
 import hydra
@@ -24,7 +25,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
-from ..errors import place
+from ..errors import message
 from ..storage.run_files import CONFIG_FILE, PLAIN_NAME
 
 CONFIGS = "configs"
@@ -156,16 +157,17 @@ def through_hydra(
             failures[_named_job()] = error  # past Hydra, which would print a line of its own
 
     path, name = (f"pkg://{PACKAGE}", PRIMARY)
-    if run_dir is not None:
-        _store(run_dir, arguments)
-        path, name = (None, SAVED)  # type: ignore[assignment]
-    sys.argv = ["rrl", *arguments]
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # main() shows what Hydra raises
-    hydra.main(version_base="1.3", config_path=path, config_name=name)(task)()
+    with TemporaryDirectory() as folder:
+        if run_dir is not None:
+            _store(run_dir, arguments, {"run": {"dir": folder}, "sweep": {"dir": folder}})
+            path, name = (None, SAVED)  # type: ignore[assignment]
+        sys.argv = ["rrl", *arguments]
+        hydra.main(version_base="1.3", config_path=path, config_name=name)(task)()
     for failure in _signals(failures) or [failures[job] for job in failures if not job]:
         raise failure
     if failures:
-        text = "\n".join(f"{job}: {error}{place(error)}" for job, error in failures.items())
+        text = "\n".join(f"{job}: {message(error)}" for job, error in failures.items())
         raise RuntimeError(text) from next(iter(failures.values()))
 
 
@@ -217,8 +219,14 @@ def _resolved(config: DictConfig) -> dict[str, Any]:
     return cast(dict[str, Any], container)
 
 
-def _store(run_dir: Path, overrides: Sequence[str]) -> None:
-    """Make a run's configuration known to Hydra; it is resolved, so ``${`` in it is text."""
+def _store(run_dir: Path, overrides: Sequence[str], own: Mapping[str, Any] | None = None) -> None:
+    """Make a run's configuration known to Hydra; it is resolved, so ``${`` in it is text.
+
+    Args:
+        run_dir: The run's directory.
+        overrides: Changes of it.
+        own: Where Hydra puts what it writes for itself: a saved run has its directory.
+    """
     path = run_dir / CONFIG_FILE
     with path.open(encoding="utf-8") as file:  # an error of YAML names it
         config = yaml.safe_load(file)
@@ -232,7 +240,7 @@ def _store(run_dir: Path, overrides: Sequence[str]) -> None:
                 f"{next(iter(section), 'KEY')}=..., or without it ~{key}."
                 f"{next(iter(section), 'KEY')}, got {override}; a saved run has no other choices"
             )
-    ConfigStore.instance().store(SAVED, _escaped(config))
+    ConfigStore.instance().store(SAVED, {**_escaped(config), "hydra": own or {}})
 
 
 def _escaped(node: Any) -> Any:

@@ -8,6 +8,8 @@ from datetime import datetime, timezone
 from functools import partial
 from pathlib import Path
 
+import yaml
+
 from ..configuration import build as assembly
 from ..console import Output
 from ..errors import place
@@ -56,8 +58,10 @@ def evaluate(config: assembly.Config, run_dir: Path, console: Output) -> None:
         title = f"{config['name']} ({path})"
         console.print(terminal_tables(one_run(results), declared, title=title))
         time = datetime.now(timezone.utc).strftime("%Y-%m-%d_%H-%M-%S")
-        write_results(results, path / f"evaluation-{time}.json")
-        console.say(f"  {path / f'evaluation-{time}.json'}")
+        out = path / f"evaluation-{time}.json"
+        write_atomically(out.with_suffix(".yaml"), yaml.safe_dump(dict(config), sort_keys=False))
+        write_results(results, out)
+        console.say(f"  {out}")
 
 
 def render(config: assembly.Config, run_dir: Path, console: Output) -> None:
