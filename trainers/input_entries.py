@@ -37,7 +37,7 @@ def read_inputs(what: str, wanted: dict[str, Input], env: EnvBase) -> dict[str, 
         ValueError: If a center or scale does not fit its entry.
     """
     spec = env.observation_spec
-    keys: list[Any] = list(spec.keys(True, True))
+    keys = list(spec.keys(True, True))
     nested: dict[str, Any] = {dotted(key): key for key in keys if isinstance(key, tuple)}
     wanted = {n if n in keys else nested.get(n, n): entry for n, entry in wanted.items()}
     if missing := [name for name in wanted if name not in keys]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
 
 from rrl.checks import check, per_dimension
-from rrl.controllers.base import Controller, clipped, floating
+from rrl.controllers.base import Controller, clipped
 from rrl.keys import BASE_ACTION
 
 
@@ -27,8 +28,8 @@ class SumController(Controller):
 
     Raises:
         TypeError: If a member is not a controller.
-        ValueError: If there is no controller, one with a memory comes twice, the number of weights
-            differs, a weight is not finite, or ``clip`` is not positive.
+        ValueError: If there is no controller, the number of weights differs, a weight is not
+            finite, or ``clip`` is not positive.
     """
 
     def __init__(
@@ -38,23 +39,18 @@ class SumController(Controller):
         clip: float | Sequence[float] | None = None,
         out_key: NestedKey = BASE_ACTION,
     ) -> None:
-        members = [c if isinstance(c, nn.Module) or not callable(c) else c() for c in controllers]
+        members: list[Any] = [
+            c if isinstance(c, nn.Module) or not callable(c) else c() for c in controllers
+        ]
         check("controllers", members, "at least one controller", bool(members))
-        found = [c for c in members if isinstance(c, Controller)]
         if wrong := [type(c).__name__ for c in members if not isinstance(c, Controller)]:
             raise TypeError(
                 f"controllers: expected Controllers, got {wrong}; wrap a policy in a "
                 "PolicyController"
             )
-        stateful = [id(part) for c in found for part in c.stateful()]
-        if len(set(stateful)) < len(stateful):
-            raise ValueError(
-                "controllers: expected each one with a memory once, got one of them twice; make "
-                "another"
-            )
         factors = [1.0] * len(members) if weights is None else list(weights)
         check("weights", weights, f"{len(members)}, one a controller", len(factors) == len(members))
-        super().__init__(list(dict.fromkeys(key for c in found for key in c.in_keys)), out_key)
+        super().__init__(list(dict.fromkeys(key for c in members for key in c.in_keys)), out_key)
         self.controllers = nn.ModuleList(members)
         for number, weight in enumerate(factors):
             self.register_buffer(f"_weight{number}", per_dimension("weights", weight))
@@ -70,7 +66,7 @@ class SumController(Controller):
         total: Tensor | None = None
         for number, controller in enumerate(self.controllers):
             assert isinstance(controller, Controller)
-            action = floating(controller.act(tensordict))
+            action = controller.act(tensordict)
             action = action * getattr(self, f"_weight{number}").to(action.dtype)
             total = action if total is None else total + action
         assert total is not None
