@@ -45,10 +45,11 @@ def sweep(controller_run, tmp_path, monkeypatch):
     return lambda *changes: main(["evaluate", f"run={controller_run}", *episodes, *changes])
 
 
-def test_a_sweep_of_evaluations_says_what_each_was(controller_run, sweep, tmp_path):
+def test_a_sweep_of_evaluations_says_what_each_was(controller_run, sweep, tmp_path, capsys):
     before = set(controller_run.glob("evaluation-*.json"))
     assert sweep() == 0
     assert not list(tmp_path.iterdir())
+    assert "HYDRA" not in "".join(capsys.readouterr())  # its logging would outlive this output
     made = set(controller_run.glob("evaluation-*.json")) - before
     counts = []
     for path in made:

@@ -240,7 +240,10 @@ def _store(run_dir: Path, overrides: Sequence[str], own: Mapping[str, Any] | Non
                 f"{next(iter(section), 'KEY')}=..., or without it ~{key}."
                 f"{next(iter(section), 'KEY')}, got {override}; a saved run has no other choices"
             )
-    ConfigStore.instance().store(SAVED, {**_escaped(config), "hydra": own or {}})
+    # Hydra's own logging would stay behind, with the output that it found.
+    silent = [{f"override hydra/{which}_logging": "none"} for which in ("job", "hydra")]
+    node = {"defaults": ["_self_", *silent], **_escaped(config), "hydra": own or {}}
+    ConfigStore.instance().store(SAVED, node)
 
 
 def _escaped(node: Any) -> Any:

@@ -19,8 +19,8 @@ Results = Mapping[str, Sequence[Record]]
 NOTE = (
     "Brackets hold 95 % intervals. Controller, and residual of one run: Wilson's, over its "
     "episodes; the controller's return: Student's t over them. Residual of several runs: the "
-    "success rate of runs like these, beta-binomial, or Student's t of the return. Gain: paired on "
-    "the same frozen episodes. Rescued and broken: episodes that only the residual or only the "
+    "success rate of runs and episodes like these, beta-binomial, or Student's t of the return. "
+    "Gain: paired on the same frozen episodes. Rescued and broken: episodes that only the residual or only the "
     "controller solves, mean of the runs."
 )
 UNPAIRED = (
