@@ -20,8 +20,8 @@ NOTE = (
     "Brackets hold 95 % intervals. Controller, and residual of one run: Wilson's, over its "
     "episodes; the controller's return: Student's t over them. Residual of several runs: the "
     "success rate of runs and episodes like these, beta-binomial, or Student's t of the return. "
-    "Gain: paired on the same frozen episodes. Rescued and broken: episodes that only the residual or only the "
-    "controller solves, mean of the runs."
+    "Gain: paired on the same frozen episodes. Rescued and broken: episodes that only the residual "
+    "or only the controller solves, mean of the runs."
 )
 UNPAIRED = (
     "The episodes of {} are not frozen: played twice they came out differently. Controller and "
