@@ -10,7 +10,7 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
 
 from rrl.checks import check, per_dimension
-from rrl.controllers.base import Controller, clipped
+from rrl.controllers.base import Controller, clipped, floating
 from rrl.keys import BASE_ACTION
 
 
@@ -28,8 +28,8 @@ class SumController(Controller):
 
     Raises:
         TypeError: If a member is not a controller.
-        ValueError: If there is no controller, the number of weights differs, a weight is not
-            finite, or ``clip`` is not positive.
+        ValueError: If there is no controller, one with a memory comes twice, the number of weights
+            differs, a weight is not finite, or ``clip`` is not positive.
     """
 
     def __init__(
@@ -47,6 +47,12 @@ class SumController(Controller):
             raise TypeError(
                 f"controllers: expected Controllers, got {wrong}; wrap a policy in a "
                 "PolicyController"
+            )
+        stateful = [id(part) for c in members for part in c.stateful()]
+        if len(set(stateful)) < len(stateful):
+            raise ValueError(
+                "controllers: expected each one with a memory once, got one of them twice; make "
+                "another"
             )
         factors = [1.0] * len(members) if weights is None else list(weights)
         check("weights", weights, f"{len(members)}, one a controller", len(factors) == len(members))
@@ -66,7 +72,7 @@ class SumController(Controller):
         total: Tensor | None = None
         for number, controller in enumerate(self.controllers):
             assert isinstance(controller, Controller)
-            action = controller.act(tensordict)
+            action = floating(controller.act(tensordict))
             action = action * getattr(self, f"_weight{number}").to(action.dtype)
             total = action if total is None else total + action
         assert total is not None
