@@ -47,10 +47,10 @@ def run(code: str, **variables: str) -> str:
     "variables",
     [
         {},
-        {"MUJOCO_GL": "magic"},
         *(
             pytest.param(variables, marks=pytest.mark.slow)
             for variables in (
+                {"MUJOCO_GL": "magic"},
                 {"MUJOCO_GL": "osmesa"},
                 {"MUJOCO_GL": "glfw"},
                 {"PYOPENGL_PLATFORM": "osmesa"},
@@ -106,6 +106,7 @@ except e.RenderingUnavailable as error:
         assert said.endswith("seen True\n") or "expected a backend that renders" in said
 
 
+@pytest.mark.slow
 def test_mujoco_that_is_imported_before_renders_too() -> None:
     output = run("import mujoco\n" + TRAIN + RENDER, PATH=os.environ["PATH"])
     assert "rendered True" in output or "unavailable" in output

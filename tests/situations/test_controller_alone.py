@@ -45,6 +45,7 @@ def sweep(controller_run, tmp_path, monkeypatch):
     return lambda *changes: main(["evaluate", f"run={controller_run}", *episodes, *changes])
 
 
+@pytest.mark.slow
 def test_a_sweep_of_evaluations_says_what_each_was(controller_run, sweep, tmp_path, capsys):
     before = set(controller_run.glob("evaluation-*.json"))
     assert sweep() == 0

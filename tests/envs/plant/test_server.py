@@ -177,9 +177,9 @@ serve(Loud(), sys.argv[1])
     ("first", "second", "at_once"),
     [
         (signal.SIGTERM, signal.SIGHUP, True),
-        (signal.SIGTERM, signal.SIGHUP, False),
-        (signal.SIGHUP, signal.SIGTERM, False),
-        (signal.SIGINT, signal.SIGINT, False),
+        pytest.param(signal.SIGTERM, signal.SIGHUP, False, marks=pytest.mark.slow),
+        pytest.param(signal.SIGHUP, signal.SIGTERM, False, marks=pytest.mark.slow),
+        pytest.param(signal.SIGINT, signal.SIGINT, False, marks=pytest.mark.slow),
     ],
 )
 def test_signals_that_end_the_program_stop_the_robot_first(first, second, at_once):

@@ -80,7 +80,14 @@ class Counts(Controller):
         return 0.01 * self.steps * self.read(tensordict, "goal")
 
 
-@pytest.mark.parametrize("controller", [ByNumPy, Decides, Counts])
+@pytest.mark.parametrize(
+    "controller",
+    [
+        ByNumPy,
+        pytest.param(Decides, marks=pytest.mark.slow),
+        pytest.param(Counts, marks=pytest.mark.slow),
+    ],
+)
 def test_a_controller_that_cannot_be_recorded_stays_outside(controller, tmp_path):
     factory = point(controller=partial(controller, KEYS), residual_scale=0.5)
     policy = policy_for(factory)
@@ -340,7 +347,7 @@ def test_what_is_not_installed_is_named(tmp_path, monkeypatch):
         export_policy(point(), TensorDictModule(lambda: None, [], ["action"]), tmp_path / "export")
 
 
-@pytest.mark.parametrize("sees", [True, False])
+@pytest.mark.parametrize("sees", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_a_graph_that_does_not_see_the_picture_is_refused(tmp_path, monkeypatch, sees):
     def graph_of(path):
         graph = onnx_graph(path)
