@@ -22,7 +22,7 @@ from .spread import spatial_variance
 SOLVED = 0.9
 """Success of the followed episodes that counts as having learned the task."""
 ROUNDING = 1e-9
-"""By how much a mean of rates may be below what it is."""
+"""By how much a mean of rates may be off, or its share by which one of returns may."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from ..metric_names import ACCEPTED, CONTROLLER
 from ..report.runs import Run
 from ..report.tables import gain, handed_over, success_cells
 from .looks import unit_of
-from .outcomes import Outcome
+from .outcomes import ROUNDING, Outcome
 
 HEADER = [
     "task",
@@ -39,8 +39,6 @@ READING = (
     "of the final gain is above zero. Unknown: one of these returns is not a number."
 )
 """How the rows are to be read."""
-ROUNDING = 1e-9
-"""Share of the margin by which a difference of two means may be off."""
 
 
 @dataclass(frozen=True)

@@ -98,9 +98,10 @@ def _results(page: Page, groups: Sequence[Group]) -> None:
         page.text(notes.NOTE)
         declared = panels.agreed(group.declared for group in groups)
         # All scenarios and groups at once: one header for quantities that not all of them have.
-        merged = {f"{s}\n{g.label}": g.results[s] for s, g in found}
+        merged = {f"{g.label}\n{s}": g.results[s] for s, g in found}
         header, rows = tables.quantity_rows(merged, declared)
-        page.table(["scenario", "run", *header[1:]], [[*r[0].split("\n"), *r[1:]] for r in rows])
+        named = [[*reversed(name.split("\n")), *cells] for name, *cells in rows]
+        page.table(["scenario", "run", *header[1:]], named)
         page.text("Controller alone \u2192 residual, over the final episodes; mean of the runs.")
     for run in (run for group in groups for run in group.runs):
         if not run.results:
