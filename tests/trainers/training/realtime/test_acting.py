@@ -12,6 +12,7 @@ from carriages import EPISODE_STEPS, Carriage, carriage_factory
 from realtime_runs import wait_for
 from rrl.trainers.requests import Request
 from rrl.trainers.settings import RealTimeSettings
+from rrl.trainers.storage.transition_log import TransitionLog
 from rrl.trainers.training.interface import prepare
 from rrl.trainers.training.policy_vector import flatten
 from rrl.trainers.training.realtime.acting import Acting, Ending
@@ -57,8 +58,9 @@ def acting(settings, hand_over):
 def test_a_judgement_between_two_episodes_ends_none(acting, hand_over):
     robot = Carriage(at_reset={2: lambda: hand_over.tell(Request.SUCCEEDED)})
     with acting(robot, judged=True) as actor:
-        wait_for(lambda: actor.log.refresh() >= 4 * EPISODE_STEPS)
-    following = actor.log.read(0, 4 * EPISODE_STEPS)[0]["next"]
+        log = TransitionLog(actor.log.folder)  # a reader's own: the writer's counts as it writes
+        wait_for(lambda: log.refresh() >= 4 * EPISODE_STEPS)
+    following = log.read(0, 4 * EPISODE_STEPS)[0]["next"]
     ends = following["done"].flatten().nonzero().flatten() + 1
     assert ends.tolist() == [EPISODE_STEPS * n for n in (1, 2, 3, 4)]
     assert not following["success"].any()
