@@ -16,14 +16,16 @@ from ..metric_names import ACCEPTED, CONTROLLER
 from ..report.curves import ALONE, alike, controllers, view
 from ..report.learning_curve import ACCEPTED_COLOR, CONTROLLER_COLOR, RESIDUAL_COLOR, draw_mean
 from . import changes, front
-from .looks import COLORS, MARKERS, PANELS, unit_of
+from .looks import HATCHES, LINES, PANELS, color_of, marked, of_round, unit_of
 from .outcomes import Finding, Outcome
 from .spec import Experiment
 from .spread import AXES
 from .tables import interval_of, outcome_rows
 
 TASK_COLUMNS = 3
-INTERVAL = "mean and 95 % confidence interval over seeds"
+ROW = 0.21
+"""Inches of a row of the legend; figures have room for two."""
+INTERVAL = "mean of the seeds and its 95 % interval"
 
 
 def draw(experiment: Experiment, finding: Finding, folder: Path) -> Path:
@@ -35,8 +37,8 @@ def draw(experiment: Experiment, finding: Finding, folder: Path) -> Path:
         _finish(figure, experiment, finding)
     folder.mkdir(parents=True, exist_ok=True)
     out = folder / f"{experiment.name}.png"
-    figure.savefig(out, dpi=150)
-    figure.savefig(out.with_suffix(".svg"))
+    for path in (out, out.with_suffix(".svg")):  # as wide as what is written on it
+        figure.savefig(path, dpi=150, bbox_inches="tight")
     return out
 
 
@@ -45,7 +47,8 @@ def _curves(experiment: Experiment, finding: Finding) -> Figure:
     for axis, entry in panels:
         for i, outcome in enumerate(finding.outcomes):
             if outcome.follows(entry):
-                _band(axis, outcome, entry, COLORS[i % len(COLORS)], outcome.point.label)
+                look = color_of(i), outcome.point.label, of_round(i, LINES)
+                _band(axis, outcome, entry, *look)
         _controllers(axis, finding, entry)
         axis.set_xlabel("environment steps of one seed")
     return figure
@@ -59,7 +62,7 @@ def _controllers(axis: Axes, finding: Finding, entry: str) -> None:
     same = alike(having, lambda i: frozenset(curves[i].values.ravel()))
     for n, of_one in enumerate(same):
         curve = max((curves[i] for i in of_one), key=lambda curve: curve.steps[-1])
-        color = CONTROLLER_COLOR if len(same) == 1 else COLORS[of_one[0] % len(COLORS)]
+        color = CONTROLLER_COLOR if len(same) == 1 else color_of(of_one[0])
         label = ALONE if len(same) == 1 else "the controller below it alone"
         shown = label if n == 0 else None
         axis.plot(curve.steps, unit_of(level) * curve.mean, "--", color=color, lw=1.4, label=shown)
@@ -68,20 +71,19 @@ def _controllers(axis: Axes, finding: Finding, entry: str) -> None:
 def _sweep(experiment: Experiment, finding: Finding) -> Figure:
     assert experiment.sweep is not None
     figure, panels = _panels(finding)
-    colors = {arm: COLORS[i % len(COLORS)] for i, arm in enumerate(finding.arms)}
+    looks = {arm: marked(i) for i, arm in enumerate(finding.arms)}
     for axis, entry in panels:
         arms = {arm: finding.arm(arm) for arm in finding.arms}
         arms = {arm: found for arm, found in arms.items() if all(o.knows(entry) for o in found)}
         for arm, found in arms.items():
-            marker = MARKERS[finding.arms.index(arm) % len(MARKERS)]
-            _errors(axis, found, entry, arm, color=colors[arm], marker=marker)
+            _errors(axis, found, entry, arm, **looks[arm])
         levels = {  # what the controllers came to at every setting
             arm: tuple(float(outcome.final(CONTROLLER + entry)[0]) for outcome in found)
             for arm, found in arms.items()
             if not found[0].acts_alone
         }
         for name, (arm, *_) in controllers(levels).items():
-            color = CONTROLLER_COLOR if name == ALONE else colors[arm]
+            color = CONTROLLER_COLOR if name == ALONE else looks[arm]["color"]
             look = {"color": color, "marker": "s", "linestyle": "--"}
             _errors(axis, arms[arm], CONTROLLER + entry, name, **look)
         axis.set_xlabel(experiment.sweep.label)
@@ -100,7 +102,8 @@ def _spread(experiment: Experiment, finding: Finding) -> Figure:
         low, high = np.array([mean_interval(column) for column in values.T]).T
         mean = values.mean(axis=0)
         error = np.nan_to_num([mean - np.maximum(low, 0.0), high - mean])
-        look: dict[str, Any] = {"capsize": 3, "color": COLORS[i % len(COLORS)], "alpha": 0.75}
+        look: dict[str, Any] = {"capsize": 3, "color": color_of(i), "hatch": of_round(i, HATCHES)}
+        look |= {"alpha": 0.75}
         axis.bar(at, mean, 0.9 * width, yerr=error, label=outcome.point.label, **look)
         for row in values:
             axis.plot(at, row, ".", color="black", ms=4, alpha=0.6)
@@ -112,18 +115,23 @@ def _spread(experiment: Experiment, finding: Finding) -> Figure:
 
 def _table(experiment: Experiment, finding: Finding) -> Figure:
     header, rows = outcome_rows(experiment, finding)
-    figure = Figure(figsize=(11.0, 1.1 + 0.4 * len(rows)), layout="constrained")
+    figure = Figure(figsize=(11.0, 1.0))
     axis = figure.subplots()
     axis.axis("off")
     table = axis.table(
-        rows, colLabels=header, loc="center", cellLoc="left", colLoc="left", edges="horizontal"
+        rows,
+        colLabels=header,
+        loc="upper center",
+        cellLoc="left",
+        colLoc="left",
+        edges="horizontal",
     )
     table.auto_set_font_size(False)
     table.set_fontsize(9)
     table.auto_set_column_width(range(len(header)))
     table.scale(1, 1.6)
     shown = f"the same {finding.outcomes[0].episodes} episodes for each and the controller"
-    figure.suptitle(f"{experiment.heading}\n{_seeds(finding)}, {shown}", fontsize=10)
+    axis.set_title(f"{experiment.heading}\n{_seeds(finding)}, {shown}", fontsize=10)
     return figure
 
 
@@ -179,8 +187,10 @@ def _finish(figure: Figure, experiment: Experiment, finding: Finding) -> None:
         handles, labels = axis.get_legend_handles_labels()
         named = dict(zip(labels, handles, strict=True)) | named
     look: dict[str, Any] = {"loc": "outside lower center", "frameon": False, "fontsize": 9}
-    fitting = int(figure.get_figwidth() / (0.6 + 0.075 * max(map(len, named))))
-    figure.legend(list(named.values()), list(named), ncols=max(1, min(3, fitting)), **look)
+    fitting = int(figure.get_figwidth() / (0.6 + 0.075 * max(map(len, named), default=0)))
+    columns = max(1, min(3, fitting))
+    figure.legend(list(named.values()), list(named), ncols=columns, **look)
+    figure.set_figheight(figure.get_figheight() + ROW * max(0, -(-len(named) // columns) - 2))
     shown = {"front": front.SHOWN, "changes": changes.SHOWN}.get(experiment.figure, INTERVAL)
     figure.suptitle(f"{experiment.heading}\n{_seeds(finding)}, {shown}", fontsize=10)
 
@@ -192,10 +202,12 @@ def _seeds(finding: Finding) -> str:
     return f"{some} seed" if counts == [1] else f"{some} seeds"
 
 
-def _band(axis: Axes, outcome: Outcome, entry: str, color: str, label: str) -> None:
+def _band(
+    axis: Axes, outcome: Outcome, entry: str, color: str, label: str, line: str = "-"
+) -> None:
     curve = outcome.curve(entry)
     band = curve.band(outcome.followed_episodes if entry == "success" else None)
-    draw_mean(axis, curve, band, unit_of(entry), color, label)
+    draw_mean(axis, curve, band, unit_of(entry), color, label, line=line)
 
 
 def _errors(axis: Axes, outcomes: Sequence[Outcome], entry: str, label: str, **look: Any) -> None:

@@ -16,7 +16,7 @@ from ..report.curves import ALONE, controllers
 from ..report.learning_curve import CONTROLLER_COLOR
 from ..report.panels import Declared, agreed, quantity_title
 from ..report.tables import with_interval
-from .looks import COLORS, MARKERS, PANELS, unit_of
+from .looks import PANELS, color_of, marked, unit_of
 from .outcomes import Finding, Outcome
 from .spec import Experiment
 from .tables import Table, interval_of
@@ -40,11 +40,9 @@ def draw_front(experiment: Experiment, finding: Finding) -> Figure:
     axes = list(figure.subplots(1, len(first.scenarios), squeeze=False)[0])
     for axis, scenario in zip(axes, first.scenarios, strict=True):
         for i, outcome in enumerate(finding.outcomes):
-            color = COLORS[i % len(COLORS)]
-            look = {"color": color, "marker": MARKERS[i % len(MARKERS)]}
             for name in [name for name, below in alone.items() if below is outcome]:
-                _controller(axis, outcome, scenario, quantity, name, color)
-            _point(axis, outcome, scenario, quantity, look)
+                _controller(axis, outcome, scenario, quantity, name, color_of(i))
+            _point(axis, outcome, scenario, quantity, marked(i))
         if limit is not None:
             axis.axvline(limit, color="#999999", lw=1, label="limit of single episodes")
         title = quantity_title(quantity, declared)

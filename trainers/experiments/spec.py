@@ -126,6 +126,8 @@ class Experiment(_Section):
     def _check_changes(self) -> None:
         if not self.tasks:
             raise ValueError("figure: changes needs tasks and changes")
+        if len(self.all_changes) < 2:
+            raise ValueError(f"changes: expected at least two to compare, got {self.all_changes}")
         for arm in self.arms:
             if not arm.startswith(tuple(arm_of(task, "") for task in self.tasks)):
                 raise ValueError(f"arms: expected TASK, CHANGE of one of the tasks, got {arm!r}")

@@ -54,13 +54,14 @@ def draw_mean(
     color: str,
     label: str,
     band_label: str | None = None,
+    line: str = "-",
 ) -> None:
     """Draw a mean over runs with its interval, if there is one; both are multiplied by a scale."""
     if band:
         low, high = (scale * bound for bound in band)
         look: dict[str, Any] = {"color": color, "alpha": 0.18, "linewidth": 0}
         axis.fill_between(curve.steps, low, high, label=band_label, **look)
-    axis.plot(curve.steps, scale * curve.mean, color=color, linewidth=2, label=label)
+    axis.plot(curve.steps, scale * curve.mean, line, color=color, linewidth=2, label=label)
 
 
 def _draw(axis: Axes, group: Group, panel: Panel) -> None:

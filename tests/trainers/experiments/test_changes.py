@@ -117,9 +117,17 @@ def test_the_figure_has_a_panel_for_every_task_and_one_for_the_mean(outcome, tmp
     assert [text for text in shown if f"<!-- {text} -->" not in svg] == []
 
 
+@pytest.mark.parametrize("change", CHANGES)
+def test_the_figure_is_empty_while_there_is_nothing_to_compare(outcome, change, tmp_path):
+    found = finding(outcome(f"push, {change}", {0: 16}))
+    svg = draw(EXPERIMENT, found, tmp_path / "figures").with_suffix(".svg").read_text()
+    assert "<!-- mean of the tasks -->" in svg
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({"changes": {"the default": ()}}, "changes: expected at least two to compare"),
         (
             {"tasks": {}, "changes": {}, "arms": {"a": ()}},
             "figure: changes needs tasks and changes",

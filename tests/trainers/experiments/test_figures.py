@@ -1,7 +1,9 @@
 """Figures and tables show every arm, and whose controller is whose."""
 
+import re
 from dataclasses import replace
 
+import imageio.v3 as iio
 import numpy as np
 import pytest
 
@@ -54,6 +56,13 @@ def test_figures_and_tables_of_a_store(outcome, figure, tmp_path):
     assert rows[1][4] == "10.0"
 
 
+def moving(outcome):
+    """The same arm with the variance of its positions."""
+    for run in outcome.runs:
+        (run.path / "positions.json").write_text("[1.0, 2.0, 3.0]")
+    return outcome
+
+
 @pytest.mark.parametrize("figure", ["curves", "table"])
 @pytest.mark.parametrize(
     ("counts", "said"), [([1], "1 seed, "), ([3], "3 seeds, "), ([1, 3], "1 to 3 seeds, ")]
@@ -91,13 +100,29 @@ def test_return_stands_in_where_no_success_is_reported(outcome, figure, others, 
     assert ("<!-- telling" in svg) == bool(others)
 
 
-@pytest.mark.parametrize("figure", ["sweep", "spread"])
-def test_there_may_be_more_arms_than_colors(outcome, figure, tmp_path):
-    arms = [outcome(f"arm {i}", value=0.0) for i in range(9)]
-    for run in [run for arm in arms for run in arm.runs]:
-        run.config["env"]["inputs"] = {"end_effector_position": {}}
-        (run.path / "positions.json").write_text("[1.0, 2.0, 3.0]")
-    assert "arm 8" in labels(figure, finding(*arms), tmp_path)
+@pytest.mark.parametrize("figure", ["curves", "sweep", "spread", "front"])
+def test_arms_look_different_though_there_are_more_than_colors(outcome, figure, tmp_path):
+    arms = [moving(pressing(outcome, f"arm {i}", 2.0)) for i in range(9)]
+    found = finding(*(replace(arm, runs=arm.runs[:1]) for arm in arms))
+    svg = labels(figure, found, tmp_path, metric="force" if figure == "front" else None)
+    legend = svg[svg.index('id="legend_') :]
+    looks = [re.search(rf"((?:(?!<!-- ).)*)<!-- arm {i} -->", legend, re.S)[1] for i in range(9)]
+    drawn = [
+        re.findall(r"stroke[^;]*;|fill: [^;]*;|url\(#[^)]*\)|href=.\S*", look) for look in looks
+    ]
+    assert len(set(map(str, drawn))) == 9
+
+
+@pytest.mark.parametrize(
+    ("figure", "arms"), [("curves", 1), ("curves", 12), ("spread", 12), ("tasks", 1), ("table", 1)]
+)
+def test_nothing_that_is_written_is_cut_off(outcome, figure, arms, tmp_path):
+    name = "an arm whose name is as long as a line, because it says whatever was set to make it"
+    many = (moving(outcome(f"{name}, {i}", mcnemar_p=1e-12)) for i in range(arms))
+    found = finding(*(replace(arm, runs=4 * arm.runs) for arm in many))
+    picture = iio.imread(draw(of(figure), found, tmp_path))
+    edges = [picture[[0, -1]], picture[:, [0, -1]]]
+    assert all((edge == 255).all() for edge in edges)
 
 
 def test_a_plane_has_two_axes(outcome, tmp_path):
