@@ -20,7 +20,7 @@ from .looks import HATCHES, LINES, PANELS, color_of, marked, of_round, unit_of
 from .outcomes import Finding, Outcome
 from .spec import Experiment
 from .spread import AXES
-from .tables import interval_of, outcome_rows
+from .tables import final_rows, interval_of, outcome_rows
 
 TASK_COLUMNS = 3
 ROW = 0.21
@@ -114,7 +114,10 @@ def _spread(experiment: Experiment, finding: Finding) -> Figure:
 
 
 def _table(experiment: Experiment, finding: Finding) -> Figure:
+    """Draw the successes as a table, or the returns where no success is reported."""
     header, rows = outcome_rows(experiment, finding)
+    if not rows:
+        header, rows = final_rows(experiment, finding)
     figure = Figure(figsize=(11.0, 1.0))
     axis = figure.subplots()
     axis.axis("off")

@@ -151,15 +151,16 @@ def _add(
 
 
 def _tables(page: Page | MarkdownPage, experiment: Experiment, finding: Finding) -> None:
-    first = finding.outcomes[0]
-    page.table(*final_rows(experiment, finding))
-    if experiment.figure == "curves" and first.follows("success"):
-        page.table(*steps_rows(experiment, finding))
+    shown = [final_rows(experiment, finding)]
+    if experiment.figure == "curves":
+        shown.append(steps_rows(experiment, finding))
     if experiment.evaluated_at:
-        page.table(*followed_rows(experiment, finding))
-    in_detail = experiment.figure in ("table", "sweep") or len(first.scenarios) > 1
-    if first.knows("success") and in_detail:
-        page.table(*outcome_rows(experiment, finding))
+        shown.append(followed_rows(experiment, finding))
+    if experiment.figure in ("table", "sweep") or len(finding.outcomes[0].scenarios) > 1:
+        shown.append(outcome_rows(experiment, finding))
+    for header, rows in shown:
+        if rows:  # none where no arm reports success
+            page.table(header, rows)
     for arm in finding.arms if experiment.sweep else ():
         outcomes = finding.arm(arm)
         known = [entry for entry in ("return", "success") if outcomes[0].knows(entry)]

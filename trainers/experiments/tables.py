@@ -35,11 +35,12 @@ def outcome_rows(experiment: Experiment, finding: Finding) -> Table:
 
 def final_rows(experiment: Experiment, finding: Finding) -> Table:
     """Return final return and success of every arm at every setting, over seeds."""
+    known = [e for e in ("return", "success") if any(o.knows(e) for o in finding.outcomes)]
     header = [*_arm_header(experiment), "seeds"]
-    for entry in ("return", "success"):
+    for entry in known:
         header += [f"{entry}: mean [95 % CI]", f"{entry}: IQM [bootstrap 95 %]"]
         header += [f"controller's {entry}"]
-    return header, list(map(_final_row, finding.outcomes))
+    return header, [_final_row(outcome, known) for outcome in finding.outcomes]
 
 
 def followed_rows(experiment: Experiment, finding: Finding) -> Table:
@@ -65,7 +66,7 @@ def steps_rows(experiment: Experiment, finding: Finding) -> Table:
     header = [*_arm_header(experiment), f"environment steps to {SOLVED:.0%}, by seed"]
     header += ["median", "reached by"]
     rows = []
-    for outcome in finding.outcomes:
+    for outcome in (o for o in finding.outcomes if o.follows("success")):
         steps = outcome.steps_to(SOLVED)
         each = ", ".join("never" if s is None else f"{s:.0f}" for s in steps)
         median = float(np.median([np.inf if s is None else s for s in steps]))
@@ -110,11 +111,13 @@ def _unpaired_test(summary: Mapping[str, float]) -> str:
     return f"{summary['fisher_p']:.1g} (Fisher's)"
 
 
-def _final_row(outcome: Outcome) -> list[str]:
+def _final_row(outcome: Outcome, entries: Sequence[str]) -> list[str]:
     cells = [*_arm(outcome), str(len(outcome.runs))]
-    for entry, form in (("return", "{:.2f}"), ("success", "{:.1f} %")):
+    for entry in entries:
+        form = "{:.1f} %" if entry == "success" else "{:.2f}"
         if not outcome.knows(entry):
-            return [*cells, "", "", ""]
+            cells += ["", "", ""]
+            continue
         values, controller = outcome.final(entry), outcome.final(f"controller_{entry}")
         unit = unit_of(entry)
         cells.append(with_interval(values.mean(), interval_of(outcome, entry), unit))

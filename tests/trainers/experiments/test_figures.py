@@ -1,17 +1,21 @@
 """Figures and tables show every arm, and whose controller is whose."""
 
-import re
 from dataclasses import replace
 
 import imageio.v3 as iio
 import numpy as np
 import pytest
+from matplotlib.container import Container
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from experiment_project import finding
 from rrl.trainers.experiments.figures import draw
 from rrl.trainers.experiments.front import front_rows
-from rrl.trainers.experiments.spec import Experiment
+from rrl.trainers.experiments.report import Shown, write_results
+from rrl.trainers.experiments.spec import Experiment, Scale, Settings
 from rrl.trainers.experiments.tables import final_rows, followed_rows, outcome_rows, steps_rows
+from rrl.trainers.launch.pool import Ending
 
 SWEEP = {"key": "a.mu", "label": "mu [m]", "values": {"quick": [0.0, 1.0]}}
 ZERO = {"_target_": "rrl.controllers.ZeroController"}
@@ -25,6 +29,16 @@ def of(figure, **changes):
 def labels(figure, found, folder, **changes):
     """The figure as SVG, which has its words in comments."""
     return draw(of(figure, **changes), found, folder).with_suffix(".svg").read_text()
+
+
+def page(experiment, found):
+    """The page for a repository, below its introduction."""
+    folder = found.outcomes[0].runs[0].path
+    figures = {experiment.name: folder / "figures/some.png"}
+    scales = {"quick": Scale(seeds=3)}
+    settings = Settings(scale="quick", launcher="local", workers=0, out="out", scales=scales)
+    shown = Shown([experiment], {experiment.name: found}, figures, [], settings, Ending())
+    return write_results(shown, folder / "results.md").read_text().partition("\n\n![")[2]
 
 
 def without_success(outcome):
@@ -88,6 +102,31 @@ def test_what_is_not_paired_has_fishers_test(outcome):
     assert "0.03" in cells["McNemar's p, by seed"]
 
 
+@pytest.mark.parametrize("silent_first", [True, False])
+def test_no_arm_is_said_to_fail_whose_task_reports_no_success(outcome, silent_first):
+    silent, telling = without_success(outcome("silent")), outcome("telling")
+    found = finding(*((silent, telling) if silent_first else (telling, silent)))
+    experiment = of("curves", evaluated_at=(500,))
+    for rows in (steps_rows, followed_rows, outcome_rows):
+        assert [row[rows is outcome_rows] for row in rows(experiment, found)[1]] == ["telling"]
+    text = page(experiment, found)
+    assert text.count("| telling |") == 3
+    assert text.count("| silent |") == 1  # its return
+
+
+@pytest.mark.parametrize("figure", ["table", "curves"])
+def test_a_page_without_success_has_returns(outcome, figure, tmp_path):
+    found = finding(without_success(outcome("silent")))
+    assert "<!-- silent" in labels(figure, found, tmp_path)
+    text = page(of(figure, evaluated_at=(500,)), found)
+    assert "success:" not in text
+    assert [line[:10] for line in text.splitlines() if line.startswith("|")] == [
+        "| arm | se",
+        "| --- | --",
+        "| silent |",
+    ]
+
+
 @pytest.mark.parametrize("figure", ["curves", "sweep"])
 @pytest.mark.parametrize("others", [0, 1])
 def test_return_stands_in_where_no_success_is_reported(outcome, figure, others, tmp_path):
@@ -101,20 +140,29 @@ def test_return_stands_in_where_no_success_is_reported(outcome, figure, others, 
 
 
 @pytest.mark.parametrize("figure", ["curves", "sweep", "spread", "front"])
-def test_arms_look_different_though_there_are_more_than_colors(outcome, figure, tmp_path):
-    arms = [moving(pressing(outcome, f"arm {i}", 2.0)) for i in range(9)]
+def test_arms_look_different_though_there_are_more_than_colors(
+    outcome, figure, tmp_path, monkeypatch
+):
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda self, *_, **__: drawn.append(self))
+    arms = [moving(pressing(outcome, f"arm {i}", 2.0, mu=0.0)) for i in range(9)]
     found = finding(*(replace(arm, runs=arm.runs[:1]) for arm in arms))
-    svg = labels(figure, found, tmp_path, metric="force" if figure == "front" else None)
-    legend = svg[svg.index('id="legend_') :]
-    looks = [re.search(rf"((?:(?!<!-- ).)*)<!-- arm {i} -->", legend, re.S)[1] for i in range(9)]
-    drawn = [
-        re.findall(r"stroke[^;]*;|fill: [^;]*;|url\(#[^)]*\)|href=.\S*", look) for look in looks
-    ]
-    assert len(set(map(str, drawn))) == 9
+    draw(of(figure, metric="force" if figure == "front" else None), found, tmp_path)
+    handles, names = drawn[0].axes[0].get_legend_handles_labels()
+    looks = {look(h) for h, name in zip(handles, names, strict=True) if name.startswith("arm")}
+    assert len(looks) == 9
+
+
+def look(handle):
+    """What tells a line, a mark or a bar of a legend from others."""
+    part = handle[0] if isinstance(handle, Container) else handle
+    if isinstance(part, Line2D):
+        return part.get_color(), part.get_marker(), part.get_linestyle()
+    return part.get_facecolor(), part.get_hatch()
 
 
 @pytest.mark.parametrize(
-    ("figure", "arms"), [("curves", 1), ("curves", 12), ("spread", 12), ("tasks", 1), ("table", 1)]
+    ("figure", "arms"), [("curves", 1), ("spread", 12), ("tasks", 1), ("table", 1)]
 )
 def test_nothing_that_is_written_is_cut_off(outcome, figure, arms, tmp_path):
     name = "an arm whose name is as long as a line, because it says whatever was set to make it"
@@ -146,11 +194,11 @@ def test_a_sweep_shows_whose_controller_is_whose(outcome, tmp_path):
     assert "<!-- controller alone, with limits -->" in svg
 
 
-def pressing(outcome, arm, force, limit=5.0):
+def pressing(outcome, arm, force, limit=5.0, mu=None):
     """An arm whose controller presses with some force."""
     entries = {"metrics/force": 3.0, "metrics/force_p99": 4.0, "metrics/force_above_limit": 0.0}
     alone = {f"controller_{name}": force for name in entries}
-    made = outcome(arm, **entries, **alone)
+    made = outcome(arm, mu, **entries, **alone)
     made.point.config["env"]["metrics"] = {"force": {"unit": "N", "limit": limit}}
     return made
 
