@@ -15,7 +15,7 @@ from ..metric_names import CONTROLLER
 from ..report.curves import Floats
 from ..report.learning_curve import ACCEPTED_COLOR, RESIDUAL_COLOR
 from ..report.runs import Run
-from ..report.tables import handed_over, with_interval
+from ..report.tables import handed_over, number, with_interval
 from .looks import unit_of
 from .outcomes import Finding, Outcome
 from .spec import Experiment, arm_of
@@ -161,7 +161,7 @@ def _level(outcome: Outcome, measure: Measure, prefix: str = "") -> str:
     values = np.array([measure.of(run, prefix + entry) for run in outcome.runs])  # (S, N)
     unit = unit_of(entry)
     if prefix:
-        return f"{values.mean() * unit:.1f} %" if entry == "success" else f"{values.mean():.2f}"
+        return number(values.mean(), unit)
     interval = mean_interval(values.mean(axis=1))
     if entry == "success" and values.shape[1] > 1:
         interval = success_interval(values)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from rrl.keys import METRICS
 
-from ..metric_names import ABOVE, CONTROLLER, P99
+from ..metric_names import ABOVE, CONTROLLER, P99, decimals
 from ..report.curves import ALONE, controllers
 from ..report.learning_curve import CONTROLLER_COLOR
 from ..report.panels import Declared, agreed, quantity_title
@@ -69,7 +69,7 @@ def front_rows(experiment: Experiment, finding: Finding) -> Table:
     for scenario in first.scenarios:
         for name, below in _controllers(finding, quantity).items():
             cells = _alone(below, scenario, (reached, *shown))
-            rows.append([scenario, name, "", *(f"{cell:.1f}" for cell in cells)])
+            rows.append([scenario, name, "", *(_written(cell) for cell in cells)])
         rows += [_row(outcome, scenario, reached, shown) for outcome in finding.outcomes]
     return ["scenario", "arm", "seeds", PANELS[reached], *titles], rows
 
@@ -91,8 +91,14 @@ def _row(outcome: Outcome, scenario: str, reached: str, shown: Sequence[str]) ->
     mean = outcome.final(reached, scenario).mean()
     cells = [with_interval(mean, interval_of(outcome, reached, scenario), unit_of(reached))]
     for values in (outcome.final(entry, scenario) * unit_of(entry) for entry in shown):
-        cells.append(f"{values.mean():.1f} ({values.min():.1f} to {values.max():.1f})")
+        mean, least, most = _written(values.mean(), values.min(), values.max()).split()
+        cells.append(f"{mean} ({least} to {most})")
     return [scenario, outcome.point.label, str(len(outcome.runs)), *cells]
+
+
+def _written(*values: float) -> str:
+    """Write numbers beside one another, each with as many decimals."""
+    return " ".join(f"{value:.{decimals(*values, least=1)}f}" for value in values)
 
 
 def _point(

@@ -11,7 +11,7 @@ import numpy as np
 from ..evaluation.sequential import margin_unit
 from ..evaluation.statistics import Interval
 from ..loggers import metrics
-from ..metric_names import ACCEPTED, CONTROLLER
+from ..metric_names import ACCEPTED, CONTROLLER, decimals
 from ..report.runs import Run
 from ..report.tables import gain, handed_over, success_cells
 from .looks import unit_of
@@ -96,9 +96,11 @@ def standing_row(outcome: Outcome) -> list[str]:
     controller, latest, *_ = success_cells(records)
     _, accepted, change, *_ = success_cells(list(map(handed_over, records)))
     cells = [controller, latest, accepted, change]
-    least = f"{found.least * unit:+.2f} (allowed: {-found.margin * unit:.2f})"
+    least, allowed = found.least * unit, -found.margin * unit
+    digits = decimals(least, allowed)
     minutes = np.mean([run.seconds for run in outcome.runs]) / 60
-    cells += [least, found.verdict, f"{minutes:.1f} min", _packages(outcome)]
+    cells += [f"{least:+.{digits}f} (allowed: {allowed:.{digits}f})", found.verdict]
+    cells += [f"{minutes:.1f} min", _packages(outcome)]
     return [outcome.point.label, found.entry, *cells]
 
 

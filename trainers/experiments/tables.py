@@ -8,7 +8,7 @@ import numpy as np
 
 from ..evaluation.statistics import iqm, iqm_interval, mean_interval, success_interval
 from ..metric_names import CONTROLLER
-from ..report.tables import with_interval
+from ..report.tables import number, with_interval
 from .looks import unit_of
 from .outcomes import SOLVED, Finding, Outcome
 from .spec import Experiment
@@ -114,7 +114,6 @@ def _unpaired_test(summary: Mapping[str, float]) -> str:
 def _final_row(outcome: Outcome, entries: Sequence[str]) -> list[str]:
     cells = [*_arm(outcome), str(len(outcome.runs))]
     for entry in entries:
-        form = "{:.1f} %" if entry == "success" else "{:.2f}"
         if not outcome.knows(entry):
             cells += ["", "", ""]
             continue
@@ -122,7 +121,7 @@ def _final_row(outcome: Outcome, entries: Sequence[str]) -> list[str]:
         unit = unit_of(entry)
         cells.append(with_interval(values.mean(), interval_of(outcome, entry), unit))
         cells.append(_iqm([values], unit))
-        cells.append("none" if outcome.acts_alone else form.format(controller.mean() * unit))
+        cells.append("none" if outcome.acts_alone else number(controller.mean(), unit))
     return cells
 
 

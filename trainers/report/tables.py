@@ -20,7 +20,7 @@ from ..evaluation.statistics import (
     unpaired_interval,
     wilson,
 )
-from ..metric_names import ACCEPTED, CONTROLLER, FAULTS, is_share
+from ..metric_names import ACCEPTED, CONTROLLER, FAULTS, decimals, is_share
 from .curves import Floats
 from .markdown import markdown_table
 from .notes import Results, is_frozen, notes
@@ -146,14 +146,23 @@ def _mean_change(records: Sequence[Record], key: str) -> str:
     return f"{np.mean([record['summary'][key] for record in records]):.1f}".removesuffix(".0")
 
 
+def number(value: float, scale: float = 1.0) -> str:
+    """Format a value; a scale of 100 means per cent."""
+    if scale == 100.0:
+        return f"{value * scale:.1f} %"
+    return f"{value * scale:.{decimals(value * scale)}f}"
+
+
 def with_interval(
     value: float, interval: tuple[float, float], scale: float = 1.0, sign: str = "-"
 ) -> str:
     """Format a value and its interval; bounds are rounded outwards. A scale of 100 means per cent.
 
+    Two digits of the largest of the numbers are shown, however small they are.
+
     An interval that is not a number is left out: a finite value without one is of a single run.
     """
-    digits, percent = (1, " %") if scale == 100.0 else (2, "")
+    digits, percent = (1, " %") if scale == 100.0 else (decimals(value, *interval), "")
     text = f"{value * scale:{sign}.{digits}f}"
     if math.isnan(interval[0]):
         return f"{text}{percent}{' (one run)' if math.isfinite(value) else ''}"
@@ -182,18 +191,21 @@ def quantity_rows(
     rows = []
     for name, records in _by_policy(results):
         summaries = [record["summary"] for record in records]
-        cells = [
-            " \u2192 ".join(_mean(summaries, k) for k in pair) if pair[0] in summaries[0] else ""
-            for pair in ((CONTROLLER + key, key) for key in titles)
-        ]
-        rows.append([name, *cells])
+        rows.append([name, *(_from_controller(summaries, key) for key in titles)])
     return ["scenario", *titles.values()], rows
 
 
-def _mean(summaries: Sequence[Mapping[str, Any]], key: str) -> str:
-    """The mean of an entry over runs; of a share in per cent."""
-    mean = np.mean([summary.get(key, math.nan) for summary in summaries])
-    return f"{100 * mean:.1f}" if is_share(key) else f"{mean:.2f}"
+def _from_controller(summaries: Sequence[Mapping[str, Any]], key: str) -> str:
+    """The means of an entry over runs, the controller's first; of a share in per cent."""
+    if CONTROLLER + key not in summaries[0]:
+        return ""
+    pair = [
+        float(np.mean([summary.get(name, math.nan) for summary in summaries]))
+        for name in (CONTROLLER + key, key)
+    ]
+    if is_share(key):
+        return " \u2192 ".join(f"{100 * mean:.1f}" for mean in pair)
+    return " \u2192 ".join(f"{mean:.{decimals(*pair)}f}" for mean in pair)
 
 
 def episode_rows(results: Results) -> list[list[Any]]:

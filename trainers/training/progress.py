@@ -19,6 +19,7 @@ from rich.progress import (
 from rich.progress import Progress as Bar
 
 from ..evaluation.episodes import Comparison
+from ..metric_names import decimals
 
 T = TypeVar("T")
 
@@ -86,7 +87,9 @@ def _above_the_bar() -> Iterator[None]:
 def describe(comparison: Comparison) -> str:
     """Return one line: success of residual, controller and what is handed over, or returns."""
     summary = comparison.summary()
-    key, form = ("success", "{:.0%}") if "success" in summary else ("return", "{:.2f}")
-    shown = {"residual": key, "controller": f"controller_{key}", "handed over": f"accepted_{key}"}
-    parts = [f"{who} {form.format(summary[e])}" for who, e in shown.items() if e in summary]
+    key = "success" if "success" in summary else "return"
+    named = {"residual": key, "controller": f"controller_{key}", "handed over": f"accepted_{key}"}
+    shown = {who: summary[entry] for who, entry in named.items() if entry in summary}
+    form = ".0%" if key == "success" else f".{decimals(*shown.values())}f"
+    parts = [f"{who} {value:{form}}" for who, value in shown.items()]
     return f"{key}: {', '.join(parts)}"

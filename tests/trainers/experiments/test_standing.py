@@ -116,6 +116,18 @@ def test_a_row_has_every_number_with_its_interval_and_the_packages(outcome):
     assert row["packages"] == "metaworld 3.0.0"
 
 
+def test_small_rewards_are_no_zeros(outcome):
+    made = outcome(20, least=8, entry="return")
+    for run in made.runs:
+        for name, values in run.results["task"]["episodes"].items():
+            run.results["task"]["episodes"][name] = [1e-3 * value for value in values]
+        for name, points in run.metrics.items():
+            run.metrics[name] = [(step, 1e-3 * value) for step, value in points]
+    row = dict(zip(HEADER, standing_row(made), strict=True))
+    assert row["handed over"].startswith("0.0010 [")
+    assert row["least gain at an evaluation"] == "-0.00010 (allowed: -0.00005)"
+
+
 def test_it_is_said_which_seeds_are_missing_and_what_the_runs_took(outcome):
     found = finding(outcome(20), outcome(10, arm="hammer"))
     said = effort(found)

@@ -168,3 +168,20 @@ def test_written_results_hold_summary_and_every_episode(tmp_path):
     assert sum(content["episodes"]["success"]) == 15
     assert sum(content["episodes"]["controller_success"]) == 2
     assert len(content["episodes"]["controller_metrics/contact_force"]) == 20
+
+
+@pytest.mark.parametrize(("unit", "shown"), [(1e-3, "0.0015"), (1.0, "1.50"), (1e6, "1500000.00")])
+def test_numbers_of_any_size_can_be_read(unit, shown):
+    policy, controller = (
+        replace(episodes(None, returns=x * unit), metrics={"error": np.full(20, x * unit)})
+        for x in (1.5, 4.0)
+    )
+    results = one_run({"own": Comparison(policy, controller)})
+    (row,), (_, quantities) = success_rows(results), quantity_rows(results, {})
+    assert row[2] == f"{shown} (one run)"
+    assert shown in quantities[0][-2]
+    assert with_interval(-1.5 * unit, (-2.5 * unit, 0.0)).startswith(f"-{shown} [-")
+
+
+def test_what_is_rounding_has_no_digits():
+    assert with_interval(1e-17, (-1e-17, 1e-16), sign="+") == "+0.00 [+0.00, +0.00]"
