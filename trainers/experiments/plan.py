@@ -178,6 +178,14 @@ def _check(experiment: Experiment, config: Mapping[str, Any]) -> None:
     """Refuse runs that do not log what the experiment shows of them."""
     trainer, known = config["trainer"], config["env"].get("metrics") or {}
     every, total = trainer["evaluation"]["every"], trainer["total_steps"]
+    loggers = {
+        name: node["_target_"] for name, node in (config.get("logger") or {}).items() if node
+    }
+    if not any(target.endswith(".CSVLogger") for target in loggers.values()):
+        raise ValueError(
+            f"{experiment.name}: expected csv among the loggers, as what is shown of a run stands "
+            f"in its metrics.csv, got {', '.join(loggers) or 'none'}"
+        )
     if experiment.figure in ("curves", "tasks", "changes") and not every:
         raise ValueError(
             f"{experiment.name}: expected trainer.evaluation.every above 0 for curves, got 0"

@@ -41,6 +41,16 @@ def test_a_table_asks_for_steps_that_are_evaluated(points, folders, steps, fits)
             points("at")
 
 
+@pytest.mark.parametrize("logger", ["[]", "[tensorboard]", "[csv]"])
+def test_what_is_shown_of_a_run_is_logged(points, folders, logger):
+    write(folders[0] / "experiment/silent.yaml", {**EXPERIMENT, "overrides": [f"logger={logger}"]})
+    if logger == "[csv]":
+        assert points("silent")
+    else:
+        with pytest.raises(ValueError, match="silent: expected csv among the loggers"):
+            points("silent")
+
+
 def test_nothing_is_asked_of_a_source_but_its_weights(points, folders):
     content = {k: v for k, v in EXPERIMENT.items() if k != "sweep"}
     content |= {"figure": "curves", "evaluated_at": [200]}
