@@ -17,6 +17,8 @@ from .runs import Group
 COLORS = ("#2f7fc1", "#d9622b", "#3a9d6a", "#9467bd", "#c59a1a", "#c2508b", "#4fa3a5", "#8c6d5a")
 """Readable on white and on black; the first ones differ for the color-blind."""
 CONTROLLER_COLOR = "#8a929c"
+DASHES = ("solid", "longdash", "longdashdot")
+"""For one round of the colors after the other."""
 COLUMNS, ROW_HEIGHT = 2, 330
 MAX_POINTS = 120
 """Of one line; longer records are averaged in blocks."""
@@ -86,15 +88,18 @@ def _traces(groups: Sequence[Group], panel: Panel) -> list[go.Scatter]:
     traces = []
     for k, group, curve in lines:
         shown = curve if group.config["trainer"]["total_steps"] else curve.level(end)
-        traces += _group_traces(group, panel, shown, COLORS[k % len(COLORS)])
+        look = COLORS[k % len(COLORS)], DASHES[k // len(COLORS) % len(DASHES)]
+        traces += _group_traces(group, panel, shown, *look)
     return traces + (_controllers(groups, panel, end) if panel.controller else [])
 
 
-def _group_traces(group: Group, panel: Panel, curve: Curve, color: str) -> list[go.Scatter]:
+def _group_traces(
+    group: Group, panel: Panel, curve: Curve, color: str, dash: str
+) -> list[go.Scatter]:
     label, meta = group.label, {"Run": group.label}
     curve = curve if panel.counted else curve.thinned(MAX_POINTS)
     steps, scale = curve.steps, panel.scale
-    dash = "dot" if group.config.get("arm") == "controller" else "solid"
+    dash = "dot" if group.config.get("arm") == "controller" else dash
     style = {"color": color, "width": 2.5, "dash": dash}
     mean = _line(steps, curve.mean * scale, label, label, style)
     mean.update(meta=meta | {"Show": "mean"}, zorder=1)

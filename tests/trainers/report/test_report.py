@@ -250,3 +250,10 @@ def test_only_groups_with_results_are_told_their_budgets(tmp_path):
     ]
     source = write_report(find_runs(runs), tmp_path / "page.html").read_text()
     assert source.count("Budget for the mean of contact force") == 1
+
+
+def test_groups_look_different_though_there_are_more_than_colors(tmp_path):
+    paths = [make_run(tmp_path / f"{i}", tau=0.01 + 0.01 * i) for i in range(9)]
+    figure = curves(group_runs(find_runs(paths)), LEARNING[:1])
+    means = [trace.line for trace in figure.data if (trace.meta or {}).get("Show") == "mean"]
+    assert len({(line.color, line.dash) for line in means}) == 9
