@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -145,9 +146,9 @@ def _add(
         page.table(*front_rows(experiment, finding))
     elif experiment.figure not in ("spread", "tasks", "changes"):
         _tables(page, experiment, finding)
-    seeds = "" if shown.settings.seeds is None else f" seeds={shown.settings.seeds}"
-    again = f"rrl reproduce {experiment.name} scale={shown.settings.scale}{seeds}"
-    page.text(f"{effort(finding)} Again: `{again}`.")
+    again = ["rrl", "reproduce", experiment.name, f"scale={shown.settings.scale}"]
+    again += [] if shown.settings.seeds is None else [f"seeds={shown.settings.seeds}"]
+    page.text(f"{effort(finding)} Again: `{shlex.join(again)}`.")
 
 
 def _tables(page: Page | MarkdownPage, experiment: Experiment, finding: Finding) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from urllib.parse import quote
 
 from ..storage.files import write_atomically
 
@@ -34,7 +35,7 @@ class MarkdownPage:
 
     def image(self, path: Path | str, caption: str = "") -> None:
         """Add a picture; its path is relative to the page."""
-        self._blocks.append(f"![{caption}]({Path(path).as_posix()})")
+        self._blocks.append(f"![{caption}]({quote(Path(path).as_posix())})")
 
     def write(self, path: Path) -> Path:
         """Write the page, all or nothing."""

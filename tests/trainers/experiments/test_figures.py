@@ -34,7 +34,7 @@ def labels(figure, found, folder, **changes):
 def page(experiment, found):
     """The page for a repository, below its introduction."""
     folder = found.outcomes[0].runs[0].path
-    figures = {experiment.name: folder / "figures/some.png"}
+    figures = {experiment.name: folder / f"figures/{experiment.name}.png"}
     scales = {"quick": Scale(seeds=3)}
     settings = Settings(scale="quick", launcher="local", workers=0, out="out", scales=scales)
     shown = Shown([experiment], {experiment.name: found}, figures, [], settings, Ending())
@@ -112,6 +112,13 @@ def test_no_arm_is_said_to_fail_whose_task_reports_no_success(outcome, silent_fi
     text = page(experiment, found)
     assert text.count("| telling |") == 3
     assert text.count("| silent |") == 1  # its return
+
+
+def test_an_experiment_may_be_called_by_several_words(outcome):
+    experiment = of("table").model_copy(update={"name": "two (or more) arms"})
+    text = page(experiment, finding(outcome()))
+    assert "](figures/two%20%28or%20more%29%20arms.png)" in text
+    assert "`rrl reproduce 'two (or more) arms' scale=quick`" in text
 
 
 @pytest.mark.parametrize("figure", ["table", "curves"])
