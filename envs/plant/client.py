@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import uuid
 from typing import Any
 
 import zmq
@@ -24,7 +25,8 @@ class RemoteRobot(Robot):
     """The four calls over a socket, to what :func:`~rrl.envs.plant.serve` serves.
 
     Every call is answered. A call without an answer is sent again within its patience, and counts
-    once, however often it arrives.
+    once, however often it arrives, and not at all after a later one: a command that was on its way
+    for too long moves no robot that was told to stop since.
 
     Args:
         address: Where the robot listens, a ZeroMQ address.
@@ -46,7 +48,7 @@ class RemoteRobot(Robot):
     ) -> None:
         self.address = address
         self._context = zmq.Context()
-        self._number = 0
+        self._name, self._number = uuid.uuid4().hex, 0  # the same in every connection
         self._connect()
         described = self.ask("describe", connect_patience)
         self.description = to_description(described["description"])
@@ -82,7 +84,7 @@ class RemoteRobot(Robot):
             RobotFault: If there is none in time, or it is a refusal.
         """
         self._number += 1
-        message = pack({"call": call, "number": self._number, **content})
+        message = pack({"client": self._name, "number": self._number, "call": call, **content})
         ends = time.monotonic() + patience
         again = min(patience / ATTEMPTS, LONGEST)
         while (now := time.monotonic()) < ends:

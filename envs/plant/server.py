@@ -80,15 +80,18 @@ class _Desk:
     ) -> None:
         self.robot, self.socket = robot, socket
         self.faults, self._may_fail = faults or Faults(), faults is not None
-        self._answered: dict[bytes, tuple[int, bytes]] = {}  # the last call of each client
+        self._answered: dict[str, tuple[int, bytes]] = {}  # the last call of each client
         self._late: deque[tuple[float, bytes, bytes]] = deque()
 
-    def answer(self, client: bytes, *packet: bytes) -> None:
-        """Do what a call says, once, and answer it; a packet that is none is dropped."""
+    def answer(self, connection: bytes, *packet: bytes) -> None:
+        """Do what a call says, once, and answer it; a packet that is none is dropped.
+
+        So is a call that comes after a later one of the same client: connections overtake others.
+        """
         try:
             (data,) = packet
             call = unpack(data)
-            number, name = int(call["number"]), str(call["call"])
+            client, number, name = str(call["client"]), int(call["number"]), str(call["call"])
         except Exception as error:  # anybody may send anything
             log.warning("a packet is dropped: expected a call of RemoteRobot's, got %r", error)
             return
@@ -99,15 +102,15 @@ class _Desk:
             last = number, self._perform(number, name, call)
             self._answered[client] = last
         if self.faults.active("delay") and name != "fault":
-            self._late.append((time.monotonic() + DELAY, client, last[1]))
+            self._late.append((time.monotonic() + DELAY, connection, last[1]))
         else:
-            self.socket.send_multipart([client, last[1]])
+            self.socket.send_multipart([connection, last[1]])
 
     def send_due(self) -> float:
         """Send delayed answers whose time has come; return the seconds to the next."""
         while self._late and self._late[0][0] <= time.monotonic():
-            _, client, answer = self._late.popleft()
-            self.socket.send_multipart([client, answer])
+            _, connection, answer = self._late.popleft()
+            self.socket.send_multipart([connection, answer])
         return self._late[0][0] - time.monotonic() if self._late else 0.1
 
     def _perform(self, number: int, name: str, call: dict[str, Any]) -> bytes:

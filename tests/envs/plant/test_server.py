@@ -72,14 +72,15 @@ def test_at_the_end_it_is_told_to_stop_and_is_closed():
 @pytest.mark.parametrize(
     "packet",
     [
-        [b"", pack({"call": "stop", "number": 1})],  # as zmq.REQ sends it
+        [b"", pack({"client": "I", "number": 1, "call": "stop"})],  # as zmq.REQ sends it
         [b"hello"],
         [b""],
-        [pack({"call": "stop"})],
-        [pack({"call": "stop", "number": "first"})],
+        [pack({"number": 1, "call": "stop"})],
+        [pack({"client": "I", "call": "stop"})],
+        [pack({"client": "I", "number": "first", "call": "stop"})],
         [pack([1, 2])],
     ],
-    ids=["request", "text", "nothing", "no number", "no such number", "no call"],
+    ids=["request", "text", "nothing", "nobody", "no number", "no such number", "no call"],
 )
 def test_a_packet_that_is_no_call_is_dropped(packet):
     robot, address = Recorder(), an_address()
@@ -94,6 +95,27 @@ def test_a_packet_that_is_no_call_is_dropped(packet):
         assert not stranger.poll(100)
         client.command(np.zeros(1))
     assert robot.calls == ["command", "stop", "close"]
+
+
+def test_a_command_that_arrives_after_a_later_stop_moves_nobody(monkeypatch):
+    robot, address = Recorder(), an_address()
+    with (
+        served(robot, address) as client,
+        zmq.Context() as context,
+        context.socket(zmq.DEALER) as slow,  # the network's way of the client's first connection
+    ):
+        slow.linger = 0
+        slow.connect(address)
+        with monkeypatch.context() as patch:
+            on_their_way = []
+            patch.setattr(client, "_send", on_their_way.append)
+            patch.setattr(client, "_patience", 0.05)
+            with pytest.raises(RobotFault, match="expected an answer to command"):
+                client.command(np.ones(1))
+        client.stop()
+        slow.send(on_their_way[0])
+        assert not slow.poll(100)
+    assert robot.calls == ["stop", "stop", "close"]
 
 
 def test_whatever_a_driver_raises_refuses_the_call():
@@ -211,7 +233,7 @@ def listens(address):
     with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
         socket.linger = 0
         socket.connect(address)
-        socket.send(pack({"number": 1, "call": "describe"}))
+        socket.send(pack({"client": "test", "number": 1, "call": "describe"}))
         return socket.poll(200) > 0
 
 
