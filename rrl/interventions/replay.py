@@ -26,8 +26,8 @@ def relabel_interventions(data: TensorDictBase, action_key: NestedKey = ACTION) 
 
     Returns:
         ``data`` with the action as it is to be stored, and two flags of the transition beside it,
-        "intervened" and "exceeds_authority", bool ``[..., T, 1]``. The latter says that the
-        residual was clipped: what was executed is not what is stored.
+        "intervened" and "exceeds_authority", bool ``[..., T, 1]``. The latter says that no
+        residual gives the command: what was executed is not what is stored.
 
     Raises:
         KeyError: If no Intervention has written into the data.

@@ -35,10 +35,10 @@ class Intervention(ActionTransform):
 
         (command - base_action) / (scale * half_range),
 
-    clipped to [-1, 1]; where it had to be clipped the step is flagged. Dimensions with a scale of 0
-    count as 0, and so does a base action that is not finite. A command that is not finite counts as
-    not taken over. :func:`~rrl.interventions.relabel_interventions` puts it in the place of the
-    policy's action, in a collector's ``postproc`` or before ``ReplayBuffer.extend``.
+    clipped to [-1, 1]; where no residual gives the command the step is flagged. Dimensions with a
+    scale of 0 count as 0, and so does a base action that is not finite. A command that is not
+    finite counts as not taken over. :func:`~rrl.interventions.relabel_interventions` puts it in the
+    place of the policy's action, in a collector's ``postproc`` or before ``ReplayBuffer.extend``.
 
     After a handover, in either direction, the command goes from the last one straight to the new
     one's, by at most ``step_limit`` a step, until it has reached it. These steps are interventions
@@ -111,10 +111,15 @@ class Intervention(ActionTransform):
         command, blending = self._blended(wanted, limits)
         residual = self.residual_action()
         span = residual.span()
-        change = command - require(self, tensordict, residual.base_action_key)
+        base_action = require(self, tensordict, residual.base_action_key)
         active = engaged | blending
-        within = (change.abs() - span) <= ROUNDING * limits.half_range
-        exceeds = ~within.all(-1, keepdim=True)  # so does what differs from a base action of NaN
+        # What a residual comes to is clipped: one beyond the bounds gives the bounds.
+        sums = (base_action - span, base_action + span)
+        least, most = (torch.clamp(end, limits.low, limits.high) for end in sums)
+        rounding = ROUNDING * limits.half_range
+        within = (command >= least - rounding) & (command <= most + rounding)
+        exceeds = ~within.all(-1, keepdim=True)  # so does whatever there is beside NaN
+        change = command - base_action
         change = torch.where(change.isfinite(), change, 0.0)
         change = torch.where(span == 0, 0.0, change / torch.where(span == 0, 1.0, span))
         given = {

@@ -11,7 +11,7 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.transforms import Compose
 from torchrl.envs.utils import step_mdp
 
-from rrl.controllers import ZeroController
+from rrl.controllers import ReplayController, ZeroController
 from rrl.interventions import ScriptedOperator
 from rrl.transforms import ActionHistory, ControlNoise, Intervention, ResidualAction
 from toy_envs import PointMass, ResetsItself
@@ -124,6 +124,26 @@ def test_a_command_outside_the_bounds_is_clipped_before_its_residual_is_taken() 
     expected = (torch.tensor([[1.0, 0.0]]) - record["base_action"]) / 2.0
     assert torch.allclose(record["next", "intervention", "action"], expected)
     assert not record["next", "intervention", "exceeds"].any()
+
+
+@pytest.mark.parametrize(
+    ("said", "command", "exceeds"),
+    [(1.5, 1.0, False), (1.5, 0.95, True), (1.1, 0.95, False), (1.1, 0.85, True)],
+)
+def test_a_controller_beyond_the_bounds_is_clipped_and_exceeds_nothing(
+    said: float, command: float, exceeds: bool
+) -> None:
+    """A residual of at most 0.2 adds to what the controller says, and the sum is clipped to 1."""
+
+    def record(action: Tensor, *operator: Intervention) -> TensorDict:
+        residual = ResidualAction(ReplayController([[said, said]]), scale=0.2)
+        chain = Compose(ControlNoise(), *operator, residual)
+        return drive(TransformedEnv(PointMass((1,)), chain), action.unsqueeze(0))[1]["next"]
+
+    told = record(torch.zeros(1, 2), by_hand([command] * 2, [True]))["intervention"]
+    assert bool(told["exceeds"]) is exceeds
+    executed = record(told["action"])["executed_action"]
+    assert torch.allclose(executed, torch.full((1, 2), command)) is not exceeds
 
 
 def test_a_device_among_the_observations_is_an_operator() -> None:
