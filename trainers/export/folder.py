@@ -28,7 +28,7 @@ from ..environment import EnvironmentFactory
 from ..storage.versions import versions
 from .chain import Chain, StaysOutside
 from .rehearsal import Rehearsal
-from .traced import trace
+from .traced import quiet, trace
 
 TOLERANCE = 1e-4
 """Largest difference from the trainer's commands, in half ranges of the action. Rounding in float32
@@ -137,7 +137,8 @@ def _attempt(
     with _failing(f"{MODEL} cannot be written", "operations that ONNX has"):
         traced.save(folder)
     rehearsal = Rehearsal(like, environment, policy, traced)
-    program = torch.export.load(folder / ARCHIVE)
+    with quiet():
+        program = torch.export.load(folder / ARCHIVE)
     with _failing(f"{MODEL} cannot be loaded", "what onnxruntime takes"):
         model = onnx_graph(folder / MODEL)
     module = module_graph(program.module(), traced.inputs, traced.outputs)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,7 +57,7 @@ class Traced:
 
     def save(self, folder: Path) -> None:
         """Write ``policy.pt2`` and ``policy.onnx``."""
-        with _quiet():
+        with quiet():
             torch.export.save(self.program, folder / ARCHIVE)
             model = torch.onnx.export(
                 self.program,
@@ -108,7 +109,7 @@ def trace(chain: Chain) -> Traced:
 
 def _program(chain: Chain, entries: list[str], state: list[str]) -> ExportedProgram:
     examples = [chain.entries[name] for name in entries] + [chain.initial[name] for name in state]
-    with _quiet(), torch.no_grad():
+    with quiet(), torch.no_grad():
         step = _Step(chain, entries, state)
         program = torch.export.export(step, tuple(v.clone() for v in examples), strict=False)
         program = program.run_decompositions(PORTABLE)
@@ -153,12 +154,12 @@ def _union(reads: dict[Node, set[str]], nodes: Sequence[Node]) -> set[str]:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep what the exporters say about themselves off the terminal."""
+def quiet() -> Iterator[None]:
+    """Keep what the exporters say off the terminal, such as a graph that cannot be recorded."""
     disabled = logging.root.manager.disable
     logging.disable(logging.WARNING)
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), redirect_stderr(io.StringIO()):
             warnings.simplefilter("ignore")
             yield
     finally:

@@ -246,10 +246,19 @@ class Sorted(Transform):
         goal = next_tensordict["goal"].numpy()
         return next_tensordict.set("goal", torch.from_numpy(np.sort(goal)))
 
-    forward = _call
+    def forward(self, tensordict):
+        return self._call(tensordict)
 
     def _reset(self, tensordict, tensordict_reset):
         return self._call(tensordict_reset)
+
+
+class Upward(Sorted):
+    """Cannot be recorded: it branches on a number."""
+
+    def _call(self, next_tensordict):
+        goal = next_tensordict["goal"]
+        return next_tensordict.set("goal", -goal if goal.sum() < 0 else goal)
 
 
 class Fault(RandomTransform):
@@ -269,14 +278,16 @@ class Fault(RandomTransform):
     ("sensing", "message"),
     [
         (Sorted, "the chain cannot be exported: expected transforms and a policy of torch"),
+        (Upward, "the chain cannot be exported: .* do not branch on numbers, got GuardOnData"),
         (Fault, r"Fault: expected a method silence\(\)"),
     ],
 )
-def test_a_chain_that_cannot_be_recorded_is_refused(sensing, message, tmp_path):
+def test_a_chain_that_cannot_be_recorded_is_refused(sensing, message, tmp_path, capfd):
     factory = point(sensing=[sensing])
     with pytest.raises((ValueError, NotImplementedError), match=message):
         export_policy(factory, policy_for(point()), tmp_path / "export")
     assert not list(tmp_path.iterdir())
+    assert capfd.readouterr() == ("", "")
 
 
 def silent(num_envs):
