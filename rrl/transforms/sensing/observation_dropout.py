@@ -62,12 +62,12 @@ class ObservationDropout(SensingFault):
         return seen | {_LEFT: left}
 
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
-        draw = self.generators.uniform(
-            next_td.batch_size, mask=mask
-        )  # always: outages do not matter
-        begins = (draw < self.probability).to(self.recall(_LEFT).device)
-        left = torch.where(self.recall(_LEFT) > 0, self.memory[_LEFT], begins * self.steps)
-        lost = left > 0
-        seen = self._read(next_td)
+        left, seen = self.recall(_LEFT), self._read(next_td)
+        if not self.probability:
+            return seen | {_LEFT: left}
+        # At every step: the numbers do not depend on outages.
+        draw = self.generators.uniform(next_td.batch_size, mask=mask)
+        begins = (draw < self.probability).to(left.device)
+        left = torch.where(left > 0, left, begins * self.steps)
         held = {name: self.memory[name] for name in seen}
-        return merge(lost, held, seen) | {_LEFT: (left - 1).clamp_min(0)}
+        return merge(left > 0, held, seen) | {_LEFT: (left - 1).clamp_min(0)}

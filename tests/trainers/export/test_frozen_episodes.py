@@ -30,7 +30,7 @@ from rrl.deploy.archive import torch_graph
 from rrl.trainers.configuration import build as assembly
 from rrl.trainers.environment import EnvironmentFactory
 from rrl.trainers.export.folder import export_policy
-from rrl.transforms import ControlNoise, ObservationNoise
+from rrl.transforms import ControlNoise, ObservationDropout, ObservationNoise
 
 EPISODES = 3
 CLOSE = 1e-6
@@ -184,7 +184,10 @@ def test_other_environments_whose_faults_stay_theirs(name, tmp_path):
     factory = replace(
         ELSEWHERE[name],
         disturbances=[partial(ControlNoise, mu=0.05, sigma=0.02)],
-        sensing=[partial(ObservationNoise, [ELSEWHERE[name].inputs[0]], sigma=0.01)],
+        sensing=[
+            partial(ObservationNoise, [ELSEWHERE[name].inputs[0]], sigma=0.01),
+            partial(ObservationDropout, [ELSEWHERE[name].inputs[0]], 0.2, 2),
+        ],
         residual_scale=0.5,
         batching="serial",
         max_episode_steps=60,
