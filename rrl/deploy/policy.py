@@ -64,7 +64,8 @@ class Policy:
 
         Args:
             observation: The contract's entries in its order, without batch dimensions; others are
-                ignored.
+                ignored. One number may have no shape, and a name a slash in the place of a dot, as
+                :class:`rrl.robot.Observation` has them.
 
         Returns:
             The command.
@@ -95,12 +96,14 @@ class Policy:
                 f"observation: expected a mapping with {self._names}, "
                 f"got a {type(observation).__name__}"
             )
-        given = [name for name in observation if name in self._names]
-        if given != self._names:
-            missing = [name for name in self._names if name not in given]
-            got = f"without {missing}" if missing else f"in the order {given}"
+        given = {str(name).replace("/", "."): value for name, value in observation.items()}
+        expected = {entry.name.replace("/", "."): entry for entry in self.contract.entries}
+        present = [name for name in given if name in expected]
+        if present != list(expected):
+            missing = [entry.name for name, entry in expected.items() if name not in given]
+            got = f"without {missing}" if missing else f"in the order {present}"
             raise ValueError(f"observation: expected the entries {self._names}, got them {got}")
-        return {f"entry/{e.name}": _array(e, observation[e.name]) for e in self.contract.entries}
+        return {f"entry/{e.name}": _array(e, given[name]) for name, e in expected.items()}
 
 
 def onnx_graph(path: Path) -> Graph:
@@ -118,6 +121,8 @@ def onnx_graph(path: Path) -> Graph:
 
 def _array(entry: Entry, value: ArrayLike) -> NDArray[Any]:
     array = np.asarray(value)
+    if array.ndim == 0 and entry.shape == (1,):
+        array = array.reshape(1)
     if array.shape != entry.shape:
         raise ValueError(f"{entry.name}: expected the shape {entry.shape}, got {array.shape}")
     if not np.can_cast(array.dtype, entry.dtype, "same_kind"):

@@ -169,25 +169,42 @@ def test_entries_that_are_not_the_contracts_are_refused(policy, observation, mes
     np.testing.assert_array_equal(policy.act(OBSERVATION), expected)  # as if nothing had been
 
 
-def test_integers_that_the_entry_cannot_hold_are_refused(folder, tmp_path):
-    path = Path(shutil.copytree(folder, tmp_path / "copy")) / CONTRACT
+def with_another_goal(folder, copy, **changes):
+    """A policy whose contract says something else of the goal, and what its graph is shown."""
+    path = Path(shutil.copytree(folder, copy)) / CONTRACT
     content = json.loads(path.read_text())["content"]
-    content["entries"][1]["dtype"] = "uint8"
+    content["entries"][1].update(changes)
     path.write_text(sealed(content))
     shown = []
     nothing = {f"report/{e['name']}": np.zeros(1) for e in content["reports"]}
     nothing |= {f"next/{e['name']}": np.zeros(1) for e in content["state"]}
-    policy = Policy(
-        path.parent,
-        RATE,
-        graph=lambda inputs: shown.append(inputs) or {"command": np.zeros(2), **nothing},
-    )
+
+    def graph(inputs):
+        shown.append(inputs)
+        return {"command": np.zeros(2), **nothing}
+
+    return Policy(copy, RATE, graph), shown
+
+
+def test_integers_that_the_entry_cannot_hold_are_refused(folder, tmp_path):
+    policy, shown = with_another_goal(folder, tmp_path / "copy", dtype="uint8")
     with pytest.raises(
         ValueError, match=r"goal: expected numbers that uint8 holds, got \[300, 2\]"
     ):
         policy.act({**OBSERVATION, "goal": np.array([300, 2], np.uint16)})
     policy.act({**OBSERVATION, "goal": np.array([255, 2], np.uint16)})
     assert [inputs["entry/goal"].tolist() for inputs in shown] == [[255, 2]]
+
+
+@pytest.mark.parametrize("name", ["arm.goal", "arm/goal"])
+@pytest.mark.parametrize("goal", [0.5, np.float64(0.5), np.array(0.5), [0.5]])
+def test_what_a_robot_observes_is_taken_as_it_is(folder, tmp_path, name, goal):
+    """`RobotEnv` makes one number of an entry without shape, and nests a name with a slash."""
+    policy, shown = with_another_goal(folder, tmp_path / "copy", name="arm.goal", shape=[1])
+    policy.act({"end_effector_position": POSITION, "arm/speed": 1.0, name: goal})
+    assert shown[0]["entry/arm.goal"].tolist() == [0.5]
+    with pytest.raises(ValueError, match=r"without \['arm\.goal'\]"):
+        policy.act({"end_effector_position": POSITION})
 
 
 @pytest.mark.parametrize("name", [MODEL, ARCHIVE, CONTRACT])
