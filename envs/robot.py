@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, TensorSpec, Unbounded
@@ -161,11 +162,28 @@ class RobotEnv(EnvBase):
             if value is None or np.shape(value) != shape:
                 got = "none" if value is None else f"the shape {np.shape(value)}"
                 raise ValueError(f"observation: expected {name!r} of the shape {shape}, got {got}")
-            array = np.array(value, dtype=dtype)  # a copy: a driver may write into its own again
-            if array.dtype.kind == "f" and not np.isfinite(array).all():
-                raise RobotFault(f"{name}: expected finite numbers, got {array.tolist()}")
-            entries[name] = torch.from_numpy(array)
+            entries[name] = torch.from_numpy(_copied(name, np.asarray(value), dtype))
         return entries
+
+
+def _copied(name: str, given: NDArray[Any], dtype: str) -> NDArray[Any]:
+    """Return a measurement in its described type; a driver may write into its own again.
+
+    Raises:
+        RobotFault: If a number is not finite.
+        ValueError: If a whole number or a flag is something else than what was measured.
+    """
+    with np.errstate(all="ignore"):  # what does not fit is found below
+        array = np.array(given, dtype=dtype)
+    numbers = array if array.dtype.kind == "f" else given
+    if numbers.dtype.kind == "f" and not np.isfinite(numbers).all():
+        raise RobotFault(f"{name}: expected finite numbers, got {given.tolist()}")
+    if array.dtype.kind != "f" and array.dtype != given.dtype and (array != given).any():
+        raise ValueError(
+            f"observation: expected {name!r} in numbers that {dtype} holds, got {given.tolist()}; "
+            "describe another type"
+        )
+    return array
 
 
 def _made(robot: Any) -> Robot:

@@ -166,6 +166,41 @@ def test_what_is_no_observation_is_refused(measured):
         RobotEnv(Measures(measured)).reset()
 
 
+@pytest.mark.parametrize(
+    ("dtype", "measured", "error", "message"),
+    [
+        (
+            "int16",
+            [40000],
+            ValueError,
+            r"expected 'measured' in numbers that int16 holds.*\[40000\]",
+        ),
+        (
+            "uint8",
+            [-1.0],
+            ValueError,
+            r"expected 'measured' in numbers that uint8 holds.*\[-1\.0\]",
+        ),
+        ("bool", [0.7], ValueError, r"expected 'measured' in numbers that bool holds.*\[0\.7\]"),
+        ("bool", [np.nan], RobotFault, r"measured: expected finite numbers, got \[nan\]"),
+        ("int64", [np.nan], RobotFault, r"measured: expected finite numbers, got \[nan\]"),
+        ("float32", [1e39], RobotFault, r"measured: expected finite numbers, got \[1e\+39\]"),
+        ("bool", [1.0], None, [True]),
+        ("int16", [3.0], None, [3]),
+        ("float32", [3], None, [3.0]),
+    ],
+)
+def test_what_is_measured_is_what_an_entry_holds_or_refused(dtype, measured, error, message):
+    robot = Measures(Observation({"reward": np.ones(1), "measured": np.array(measured)}, 0.0))
+    robot.description = Described(measured=EntrySpec((1,), dtype)).description
+    env = RobotEnv(robot)
+    if error is None:
+        assert env.reset()["measured"].tolist() == message
+    else:
+        with pytest.raises(error, match=message):
+            env.reset()
+
+
 @pytest.mark.parametrize("made_here", [True, False])
 def test_a_robot_that_was_made_for_an_environment_that_cannot_be_is_closed(made_here):
     robot, closed = Described(), []
