@@ -18,6 +18,7 @@ from rrl.keys import ACTION, BASE_ACTION
 from rrl.pace import Pace
 from rrl.robot import RobotFault
 from rrl.slot_random import seed_env
+from rrl.transforms import Intervention
 
 from ...requests import Requests, stand_still
 from ...resumable_env import ResumableEnv
@@ -118,6 +119,8 @@ class Acting:
         self.requests = Requests()
         env.listen_to(self.requests)
         self._keeps_pace = pace is not getattr(env.base_env, "pace", None)
+        operated = (part for part in env.transform if isinstance(part, Intervention))
+        self._operated = next(operated, None)
         self._keys = _stored(env)
         self._unwritten: list[TensorDictBase] = []
         self._count, self._annealing = self.log.count, Annealing(exploration)
@@ -203,6 +206,8 @@ class Acting:
             td.set(ACTION, td[ACTION].float())
             self._last_command = td[BASE_ACTION] + self.authority.span * td[ACTION]
             td = self.env.step(td)
+            if self._operated is not None:  # it may have been an operator's
+                self._last_command = self._operated.recall("command")
             if self._keeps_pace:
                 self.pace.wait()
             self._keep(td, timing)

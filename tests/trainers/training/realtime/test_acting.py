@@ -3,6 +3,7 @@
 import threading
 import time
 from contextlib import contextmanager
+from functools import partial
 
 import pytest
 import torch
@@ -17,6 +18,7 @@ from rrl.trainers.training.interface import prepare
 from rrl.trainers.training.policy_vector import flatten
 from rrl.trainers.training.realtime.acting import Acting, Ending
 from rrl.trainers.training.realtime.hand_over import HandOver, Weights
+from rrl.transforms import Intervention
 
 
 @pytest.fixture
@@ -29,15 +31,15 @@ def acting(settings, hand_over):
     """Has a robot driven while the body runs."""
 
     @contextmanager
-    def act(robot, **changes):
+    def act(robot, policy=None, late="controller", **changes):
         how = settings(
             collection="realtime",
-            realtime=RealTimeSettings(priority=0, budget=1.0),
+            realtime=RealTimeSettings(priority=0, budget=1.0, late=late),
             n_step=1,
             total_steps=1000,
         )
         env, _, _ = prepare(how, carriage_factory(robot, **changes), lambda spec: None)
-        policy = TensorDictModule(torch.nn.Linear(2, 2), ["goal"], ["action"])
+        policy = policy or TensorDictModule(torch.nn.Linear(2, 2), ["goal"], ["action"])
         hand_over.publish(Weights(0, 1, flatten(policy)))
         ending = Ending()
         actor = Acting(how, env, policy, None, env.base_env.pace, hand_over, ending)
@@ -81,6 +83,43 @@ def test_a_pause_stops_the_robot_in_whatever_step_it_comes(acting, hand_over, st
         hand_over.tell(Request.GO_ON)
         wait_for(lambda: robot.told[here:])
         assert robot.told[here] == "reset"
+
+
+class Recorded(Carriage):
+    def __init__(self):
+        super().__init__()
+        self.commands = []
+
+    def command(self, action):
+        self.commands.append(action.tolist())
+        super().command(action)
+
+
+class Hesitates(torch.nn.Linear):
+    """Does not answer in time in the step in which an operator lets go."""
+
+    def forward(self, place):
+        if place[0] == LETS_GO:
+            time.sleep(0.05)
+        return -torch.ones_like(place)
+
+
+LETS_GO = 4  # where
+
+
+def test_a_late_step_holds_what_an_operator_has_commanded(acting):
+    def hand(place):
+        return torch.full_like(place, 0.1), place[..., :1] < LETS_GO
+
+    operator = TensorDictModule(hand, ["end_effector_position"], ["operator_action", "taken_over"])
+    intervention = partial(Intervention, operator, step_limit=2.0)
+    policy = TensorDictModule(Hesitates(2, 2), ["end_effector_position"], ["action"])
+    robot = Recorded()
+    with acting(robot, policy, "hold", intervention=intervention):
+        wait_for(lambda: len(robot.commands) > LETS_GO)
+    near = [0.0, 0.0]  # the controller's -0.5, and the residual's 0.5
+    assert robot.commands[LETS_GO] == near
+    assert robot.commands[:LETS_GO] == [[pytest.approx(0.1)] * 2] * LETS_GO
 
 
 def test_a_robot_stands_still_before_somebody_else_has_it(acting, hand_over):
