@@ -8,12 +8,7 @@ from typing import Any
 from tensordict import NestedKey, TensorDictBase, unravel_key
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
-from torchrl.envs.transforms import (
-    DeviceCastTransform,
-    DTypeCastTransform,
-    FrameSkipTransform,
-    Transform,
-)
+from torchrl.envs.transforms import DeviceCastTransform, DTypeCastTransform, Transform
 
 from rrl.checks import require
 from rrl.transforms.base.action_bounds import ActionLimits, action_leaf, limits_of
@@ -25,8 +20,6 @@ CASTS = (DeviceCastTransform, DTypeCastTransform)
 
 class ActionTransform(SlotTransform):
     """Base of the transforms that change or watch an action and need its limits at their place.
-
-    A FrameSkipTransform stands in front of it, nearer to the environment.
 
     Args:
         action_key: The action ``[*batch, n_act]``; may be nested.
@@ -100,34 +93,6 @@ class ActionTransform(SlotTransform):
                 return
             if isinstance(module, Transform):
                 yield module
-
-    def _later(self) -> Iterator[Transform]:
-        """Yield the transforms between this one and the policy."""
-        behind = False
-        for module in () if self.container is None else self.container.transform.modules():
-            if behind and isinstance(module, Transform):
-                yield module
-            behind = behind or module is self
-
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        for transform in self._later():
-            self.check_later(transform)
-        return super()._reset(tensordict, tensordict_reset)
-
-    def check_later(self, transform: Transform) -> None:
-        """Raise an error if a transform between this one and the policy would disturb it.
-
-        Raises:
-            RuntimeError: If it hands the action to this one again.
-        """
-        if isinstance(transform, FrameSkipTransform):
-            raise RuntimeError(
-                f"{type(self).__name__}: expected every action once, got a FrameSkipTransform "
-                "behind it, which hands it the executed action again; put the FrameSkipTransform "
-                "first in the list"
-            )
 
     def _leaves_units(self, transform: Transform) -> bool:
         keys = (*(transform.in_keys_inv or ()), *(transform.out_keys_inv or ()))

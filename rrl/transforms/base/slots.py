@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import copy
 from abc import abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec
-from torchrl.envs.transforms import Transform
+from torchrl.envs.transforms import (
+    ConditionalPolicySwitch,
+    FrameSkipTransform,
+    MultiAction,
+    NoopResetEnv,
+    Transform,
+)
 
 from rrl.checks import missing
 from rrl.slot_masks import any_done, merge, reset_mask, step_mask
@@ -22,13 +28,18 @@ Mask = Tensor | None
 Memory = dict[str, Tensor]
 """Tensors ``[*batch, ...]`` by name."""
 
+STEPPERS = (ConditionalPolicySwitch, FrameSkipTransform, MultiAction, NoopResetEnv)
+"""Transforms that take steps of their own, through copies of what stands in front of them."""
+
 
 class SlotTransform(Transform):
     """A transform with memory, held slot by slot.
 
     A subclass says what a slot remembers when its episode starts (:meth:`_first`) and after a step
     (:meth:`_advance`). What goes with it is done here: resets and steps of some of the slots,
-    environments that reset themselves within a step, ``state_dict`` and clones.
+    environments that reset themselves within a step, ``state_dict`` and clones. A transform that
+    takes steps of its own, such as a FrameSkipTransform, stands in front of it, nearer to the
+    environment.
 
     ``memory`` is replaced and never changed in place: a clone may start from the same tensors.
     """
@@ -85,8 +96,34 @@ class SlotTransform(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
+        for transform in self._later():
+            self.check_later(transform)
         mask = reset_mask(tensordict, tensordict_reset.batch_size)
         return self._remember(tensordict_reset, self._first(tensordict_reset, mask), mask)
+
+    def _later(self) -> Iterator[Transform]:
+        """Yield the transforms between this one and the policy."""
+        behind = False
+        for module in () if self.container is None else self.container.transform.modules():
+            if behind and isinstance(module, Transform):
+                yield module
+            behind = behind or module is self
+
+    def check_later(self, transform: Transform) -> None:
+        """Raise an error if a transform between this one and the policy would disturb it.
+
+        Raises:
+            RuntimeError: If it takes steps that this one does not see.
+        """
+        if isinstance(transform, STEPPERS):
+            kind = type(transform).__name__
+            place = "first in the list"
+            if isinstance(transform, MultiAction):
+                place = "around this environment: TransformedEnv(env, ..., auto_unwrap=False)"
+            raise RuntimeError(
+                f"{type(self).__name__}: expected to see every step and every action once, got a "
+                f"{kind} behind it, which takes steps of its own; put the {kind} {place}"
+            )
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         mask = step_mask(tensordict, next_tensordict.batch_size)

@@ -15,7 +15,6 @@ from torchrl.envs import GymEnv, StepCounter, TransformedEnv, check_env_specs
 from torchrl.envs.transforms import (
     Compose,
     DTypeCastTransform,
-    FrameSkipTransform,
     ObservationNorm,
     VecNormV2,
 )
@@ -166,14 +165,6 @@ def test_a_normaliser_may_show_the_base_action_as_another_entry() -> None:
     tensordict = env.step(env.reset().set("action", torch.ones(2)))
     assert torch.equal(env.base_env.executed[-1].double(), tensordict["base_action"])
     assert not torch.equal(tensordict["seen"], tensordict["base_action"])
-
-
-@pytest.mark.parametrize("transform", [ResidualAction(proportional()), ControlNoise(sigma=0.1)])
-def test_frames_are_skipped_in_front_of_whatever_changes_the_action(transform) -> None:
-    TransformedEnv(PointMass(), Compose(FrameSkipTransform(2), transform.clone())).rollout(2)
-    behind = Compose(transform.clone(), FrameSkipTransform(2))
-    with pytest.raises(RuntimeError, match="put the FrameSkipTransform first"):
-        TransformedEnv(PointMass(), behind).rollout(2)
 
 
 def test_an_earlier_normaliser_does() -> None:
