@@ -9,6 +9,9 @@ from tensordict import NestedKey
 from torch import Tensor
 from torchrl.data import Bounded, Composite, TensorSpec
 
+UNBOUNDED = 1e10
+"""Bounds of this size are none: dm_control writes so where an actuator has no range."""
+
 
 class ActionLimits(NamedTuple):
     """Bounds of one action entry, tensors of the entry's shape.
@@ -75,8 +78,8 @@ def limits_of(spec: TensorSpec) -> ActionLimits:
                 "action: expected bounds with low no more than high, got "
                 f"{low.tolist()} and {high.tolist()}"
             )
-        largest = torch.finfo(spec.dtype).max
-        # TorchRL writes "unbounded" as the largest number of the dtype.
+        # TorchRL writes "unbounded" as the largest number of a dtype.
+        largest = min(torch.finfo(spec.dtype).max, UNBOUNDED)
         low = torch.where(low <= -largest, -torch.inf, low)
         high = torch.where(high >= largest, torch.inf, high)
     else:

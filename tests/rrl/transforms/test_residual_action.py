@@ -11,7 +11,7 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch import nn
 from torchrl.data import Bounded
-from torchrl.envs import GymEnv, StepCounter, TransformedEnv, check_env_specs
+from torchrl.envs import DMControlEnv, GymEnv, StepCounter, TransformedEnv, check_env_specs
 from torchrl.envs.transforms import (
     Compose,
     DTypeCastTransform,
@@ -107,6 +107,18 @@ def test_bounds_that_are_not_one() -> None:
     assert env.action_spec == Bounded(-1.0, 1.0, shape=(2,), device="cpu")
     drive(env, torch.tensor([[1.0, -1.0]]))
     assert torch.equal(inner.executed[0], torch.tensor([3.0, -4.0]))
+
+
+def test_actuators_without_a_range_have_no_bounds() -> None:
+    """dm_control gives them bounds of 1e10: a residual of 1 is one of their units, not 1e10."""
+    env = TransformedEnv(
+        DMControlEnv("lqr", "lqr_2_1"), ResidualAction(ZeroController(), scale=0.5)
+    )
+    limits = env.transform.limits()
+    assert limits.half_range.tolist() == [1.0]
+    assert not limits.high.isfinite().any() and not limits.low.isfinite().any()
+    env.step(env.reset().set("action", torch.tensor([0.8], dtype=torch.float64)))
+    assert env.base_env.physics.control().item() == pytest.approx(0.4)
 
 
 def test_set_scale_counts_from_the_next_step() -> None:
