@@ -36,13 +36,14 @@ class ForceLimit(SafetyLimit):
     * that the force comes from the robot's own motion, not from somebody who pushes it.
 
     With ``force_key`` the measured force is used too, as a second line where these do not hold:
-    with the force f, its direction n = f / \|f\| and the part p = u . n of the displacement along
-    it, motion further into the contact has p < 0. That part is scaled by
+    with the force f, its direction n = f / \|f\| and the part p = (unit * u) . n of the
+    displacement along it, motion further into the contact has p < 0. That part is scaled by
 
         s = clip((limit - \|f\|) / (limit - onset), 0, 1)
 
-    and above the limit the part along n is replaced by ``retract``, away from the contact. This
-    alone would be no bound: the force is known a step too late.
+    and above the limit the part along n is replaced by ``retract``, away from the contact. Where
+    that leads beyond the action's bounds, the command is shortened. This alone would be no bound:
+    the force is known a step too late.
 
     policy -> env: reads and writes ``action_key``.
     env -> policy: reads ``force_key``, writes ("safety", "force"); see :class:`SafetyLimit`.
@@ -102,7 +103,7 @@ class ForceLimit(SafetyLimit):
     def limit(self, action: Tensor, measured: Tensor, limits: ActionLimits) -> Tensor:
         """Change the part of the motion along the force, then shorten the displacement."""
         if self.in_keys:
-            action = self._yield_to(measured, action)
+            action = self._yield_to(measured, action, limits)
         reach = norm(self._force_of(action))
         return torch.where(reach > self.maximum, action * (self.maximum / reach), action)
 
@@ -110,16 +111,21 @@ class ForceLimit(SafetyLimit):
         """Return the force that a displacement may lead to, by dimension [N]."""
         return action * (self.stiffness * self.unit).to(action)
 
-    def _yield_to(self, force: Tensor, action: Tensor) -> Tensor:
+    def _yield_to(self, force: Tensor, action: Tensor, limits: ActionLimits) -> Tensor:
         size = norm(force)
         normal = force / size.clamp_min(torch.finfo(size.dtype).tiny)
-        along = dot(action[..., self.axes], normal)
+        unit = self.unit.to(action).expand(action.shape[-1])[self.axes]
+        along = dot(action[..., self.axes] * unit, normal)
         wanted = torch.where(along < 0, along * self._share(size), along)
         if self.retract:
-            wanted = torch.where(size > self.maximum, wanted.clamp_min(self.retract), wanted)
+            away = self.retract * dot(normal * unit, normal)
+            wanted = torch.where(size > self.maximum, torch.maximum(wanted, away), wanted)
         safe = action.clone()
-        safe[..., self.axes] = action[..., self.axes] + (wanted - along) * normal
-        return torch.where(wanted == along, action, safe)
+        safe[..., self.axes] = action[..., self.axes] + (wanted - along) * normal / unit
+        # Clipped at the bounds, one dimension and not the other, it would press again.
+        room = torch.where(safe > 0, limits.high, -limits.low) / safe.abs()
+        share = torch.where(safe == 0, torch.inf, room).amin(-1, keepdim=True).clamp(0.0, 1.0)
+        return torch.where(wanted == along, action, safe * share)
 
     def _share(self, size: Tensor) -> Tensor:
         """Return how much of a pressing motion is left under forces of this size."""

@@ -205,6 +205,22 @@ def test_retreat_and_hard_stop() -> None:
     assert force_of(limit(axes=[2]), action, [41.0]) == [0.3, 0.0, 0.0]
 
 
+@pytest.mark.parametrize("unit", [1.0, 0.02, [0.05, 0.01, 0.2]])
+@pytest.mark.parametrize("retract", [0.0, 0.1])
+def test_above_the_limit_no_command_presses_on(unit, retract) -> None:
+    """Whatever an action unit stands for in each dimension, and also at the action's bounds."""
+    limit = ForceLimit(1.0, SOFT, unit=unit, force_key="force", retract=retract)
+    force, action = random_actions(500, 3, seed=1), random_actions(500, 3, seed=2)
+    normal = force / force.norm(dim=-1, keepdim=True)
+    bounds = limits_of(Bounded(-1.0, 1.0, [500, 3]))
+    safe = limit.limit(action, 2.0 * normal, bounds)
+    along = (safe * torch.tensor(unit) * normal).sum(-1)
+    assert along.min() >= -1e-6 * torch.tensor(unit).max()
+    assert safe.abs().max() <= 1.0 + 1e-6
+    free = (action * torch.tensor(unit) * normal).sum(-1) > retract * torch.tensor(unit).max()
+    assert free.any() and torch.equal(safe[free], action[free])
+
+
 @pytest.mark.parametrize(
     ("stiffness", "action", "expected"),
     [
