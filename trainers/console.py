@@ -15,7 +15,7 @@ from typing import ClassVar, TextIO
 from rich.console import Console
 from rich.segment import Segment, Segments
 
-__all__ = ["DurableStream", "Output", "durable_output", "from_here"]
+__all__ = ["DurableStream", "Output", "durable_output", "from_here", "shows_bars"]
 
 AS_BYTES = "rrl.as_bytes"
 """How streams write what their encoding lacks: parts of a path as the bytes that they are, so that
@@ -43,6 +43,14 @@ def from_here(*command: str) -> str:
     A project's modules, its ``configs/`` and relative paths are found from its folder.
     """
     return f"cd {shlex.quote(str(Path.cwd()))} && {shlex.join(command)}"
+
+
+def shows_bars(console: Console) -> bool:
+    """Return whether a console draws over what it has drawn, as a progress bar needs.
+
+    A file and a pipe do not, nor does a terminal with TERM=dumb, such as Emacs' shell.
+    """
+    return console.is_terminal and not console.is_dumb_terminal
 
 
 class Output(Console):

@@ -16,7 +16,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from ..console import Output
+from ..console import Output, shows_bars
 from ..loggers import metrics
 from ..loggers.csv_file import whole_rows
 from ..storage.run_files import METRICS
@@ -28,7 +28,7 @@ SPEED_SECONDS = 600.0
 
 
 class Display:
-    """A bar for all runs and one for each under way; plain lines without a terminal."""
+    """A bar for all runs and one for each under way; plain lines where none are shown."""
 
     def __init__(self, console: Output) -> None:
         self.console = console
@@ -52,7 +52,7 @@ class Display:
             TimeElapsedColumn(),
             TimeRemainingColumn(),
             console=self.console,
-            disable=not self.console.is_terminal,
+            disable=not shows_bars(self.console),
             speed_estimate_period=SPEED_SECONDS,
             refresh_per_second=2,
         )
@@ -63,7 +63,7 @@ class Display:
 
     def started(self, job: Job) -> None:
         """Add a run's bar."""
-        if not self.console.is_terminal:
+        if not shows_bars(self.console):
             self.console.say(f"started  {job.name}")
         self._jobs[self._bars.add_task(job.name, total=job.total_steps or None, status="")] = job
 
@@ -83,7 +83,7 @@ class Display:
 
     def refresh(self) -> None:
         """Read how far the runs are."""
-        if not self.console.is_terminal:
+        if not shows_bars(self.console):
             return
         total = self._ended_steps
         for task, job in self._jobs.items():

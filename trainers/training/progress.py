@@ -1,4 +1,4 @@
-"""A progress bar with the success so far, or plain lines where the output is no terminal."""
+"""A progress bar with the success so far, or plain lines where the output shows no bars."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from rich.progress import (
 )
 from rich.progress import Progress as Bar
 
+from ..console import shows_bars
 from ..evaluation.episodes import Comparison
 from ..metric_names import decimals
 
@@ -42,7 +43,7 @@ class Progress:
             TimeElapsedColumn(),
             TimeRemainingColumn(),
             console=self.console,
-            disable=self.console.quiet or not self.console.is_terminal,
+            disable=self.console.quiet or not shows_bars(self.console),
         )
         with bar, _above_the_bar():
             self._task = bar.add_task("training", total=total or None, completed=done, status="")
@@ -58,7 +59,7 @@ class Progress:
     def show(self, comparison: Comparison, env_steps: int) -> None:
         """Show what an evaluation found."""
         status = describe(comparison)
-        if self._bar is not None and self.console.is_terminal:
+        if self._bar is not None and shows_bars(self.console):
             self._bar.update(self._task, status=status)
         else:
             self.console.print(f"{env_steps:>8} steps  {status}", highlight=False)
