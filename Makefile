@@ -13,7 +13,7 @@ test: $(VENV)/installed             ## the default test suite
 	$(BIN)/pytest -m "not slow" -n 2 --dist worksteal
 
 test-slow: $(VENV)/installed        ## long training checks
-	$(BIN)/pytest -m slow -n 2
+	$(BIN)/pytest -m slow -n 2 --timeout=900
 
 test-ray: $(VENV)/installed         ## experiments on a local Ray
 	$(BIN)/pip install --disable-pip-version-check --quiet --constraint constraints.txt --editable ".[ray]"
