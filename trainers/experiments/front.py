@@ -36,10 +36,12 @@ def draw_front(experiment: Experiment, finding: Finding) -> Figure:
     quantity, first = f"{METRICS}/{experiment.metric}", finding.outcomes[0]
     declared, alone = _declared(experiment, finding), _controllers(finding, quantity)
     reached, limit = first.measured_by, declared[str(experiment.metric)].get("limit")
-    figure = Figure(figsize=(5.6 * len(first.scenarios), 4.8), layout="constrained")
-    axes = list(figure.subplots(1, len(first.scenarios), squeeze=False)[0])
-    for axis, scenario in zip(axes, first.scenarios, strict=True):
+    figure = Figure(figsize=(5.6 * len(finding.scenarios), 4.8), layout="constrained")
+    axes = list(figure.subplots(1, len(finding.scenarios), squeeze=False)[0])
+    for axis, scenario in zip(axes, finding.scenarios, strict=True):
         for i, outcome in enumerate(finding.outcomes):
+            if scenario not in outcome.scenarios:
+                continue
             for name in [name for name, below in alone.items() if below is outcome]:
                 _controller(axis, outcome, scenario, quantity, name, color_of(i))
             _point(axis, outcome, scenario, quantity, marked(i))
@@ -66,11 +68,13 @@ def front_rows(experiment: Experiment, finding: Finding) -> Table:
     titles = [quantity_title(e, declared) for e in shown]
     reached = first.measured_by
     rows = []
-    for scenario in first.scenarios:
+    for scenario in finding.scenarios:
         for name, below in _controllers(finding, quantity).items():
-            cells = _alone(below, scenario, (reached, *shown))
-            rows.append([scenario, name, "", *(_written(cell) for cell in cells)])
-        rows += [_row(outcome, scenario, reached, shown) for outcome in finding.outcomes]
+            if scenario in below.scenarios:
+                cells = _alone(below, scenario, (reached, *shown))
+                rows.append([scenario, name, "", *(_written(cell) for cell in cells)])
+        having = [outcome for outcome in finding.outcomes if scenario in outcome.scenarios]
+        rows += [_row(outcome, scenario, reached, shown) for outcome in having]
     return ["scenario", "arm", "seeds", PANELS[reached], *titles], rows
 
 

@@ -160,6 +160,11 @@ class Finding:
             return f"{next(iter(few))} of every arm"
         return "; ".join(f"{count} of {', '.join(labels)}" for count, labels in sorted(few.items()))
 
+    @property
+    def scenarios(self) -> list[str]:
+        """Scenarios of any of the arms, which may have some of their own."""
+        return list(dict.fromkeys(name for o in self.outcomes for name in o.scenarios))
+
     def arm(self, name: str) -> list[Outcome]:
         """Return the outcomes of one arm, by setting."""
         return [outcome for outcome in self.outcomes if outcome.point.arm == name]

@@ -157,7 +157,7 @@ def _tables(page: Page | MarkdownPage, experiment: Experiment, finding: Finding)
         shown.append(steps_rows(experiment, finding))
     if experiment.evaluated_at:
         shown.append(followed_rows(experiment, finding))
-    if experiment.figure in ("table", "sweep") or len(finding.outcomes[0].scenarios) > 1:
+    if experiment.figure in ("table", "sweep") or len(finding.scenarios) > 1:
         shown.append(outcome_rows(experiment, finding))
     for header, rows in shown:
         if rows:  # none where no arm reports success

@@ -231,6 +231,24 @@ def test_a_front_shows_whose_controller_is_whose(outcome, tmp_path):
     assert {len(row) for row in rows} == {len(header)}
 
 
+def test_arms_of_a_front_may_have_scenarios_of_their_own(outcome, tmp_path):
+    arms = [pressing(outcome, arm, 2.0) for arm in ("blind", "seeing")]
+    for run in arms[1].runs:
+        run.results["dark"] = run.results["misaligned"]
+    found = finding(*arms)
+    _, rows = front_rows(of("front", metric="force"), found)
+    assert [row[:2] for row in rows] == [
+        ["misaligned", "controller alone, blind"],
+        ["misaligned", "controller alone, seeing"],
+        ["misaligned", "blind"],
+        ["misaligned", "seeing"],
+        ["dark", "controller alone, seeing"],
+        ["dark", "seeing"],
+    ]
+    assert "<!-- dark -->" in labels("front", found, tmp_path, metric="force")
+    assert "| dark | seeing |" in page(of("table"), found)
+
+
 def test_rows_of_a_sweep_name_the_setting(outcome):
     experiment = of("sweep", evaluated_at=(500,))
     found = finding(outcome(value=0.0), outcome(value=1.0))
