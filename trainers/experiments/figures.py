@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -28,6 +29,7 @@ ROW = 0.21
 INTERVAL = "mean of the seeds and its 95 % interval"
 
 
+@rc_context({"text.parse_math": False})  # a name with two dollar signs is no formula
 def draw(experiment: Experiment, finding: Finding, folder: Path) -> Path:
     """Draw an experiment's figure; return the PNG, with the SVG beside it."""
     kinds = {"curves": _curves, "sweep": _sweep, "spread": _spread, "table": _table}

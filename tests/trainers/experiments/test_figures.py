@@ -121,6 +121,12 @@ def test_an_experiment_may_be_called_by_several_words(outcome):
     assert "`rrl reproduce 'two (or more) arms' scale=quick`" in text
 
 
+@pytest.mark.parametrize("figure", ["curves", "tasks", "table"])
+def test_names_are_text_and_no_formulas(outcome, figure, tmp_path):
+    found = finding(outcome("for 5 $ (one hour)"), outcome("for 5 $, then for {10 $"))
+    assert "<svg" in labels(figure, found, tmp_path)
+
+
 @pytest.mark.parametrize("figure", ["table", "curves"])
 def test_a_page_without_success_has_returns(outcome, figure, tmp_path):
     found = finding(without_success(outcome("silent")))
