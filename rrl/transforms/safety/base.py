@@ -27,7 +27,8 @@ class SafetyLimit(ActionTransform):
 
     policy -> env: reads and writes ``action_key``.
     env -> policy: reads ``in_keys``, writes ("safety", name), bool ``[*batch, 1]``: whether this
-    step's action violated the limit and was changed. False at a reset.
+    step's action violated the limit and was changed. False at a reset, but of an environment that
+    resets itself within a step: there it is the ended episode's last step.
 
     Args:
         name: Names the entry below "safety".
@@ -96,6 +97,12 @@ class SafetyLimit(ActionTransform):
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
         measured = self._measured(next_td, self.executed(td))
         return {"measured": measured, "flag": td.get(self._flag_key)}
+
+    def _advance_or_start(
+        self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask, started: Tensor
+    ) -> Memory:
+        memory = super()._advance_or_start(td, next_td, mask, started)
+        return memory | {"flag": td.get(self._flag_key)}  # of the step that has ended the episode
 
     def _measured(self, tensordict: TensorDictBase, action: Tensor) -> Tensor:
         measured = self.measure(tensordict, action)

@@ -30,7 +30,7 @@ from rrl.transforms import (
     WorkspaceLimit,
 )
 from rrl.transforms.base import limits_of
-from toy_envs import STEP_SIZE, PointMass
+from toy_envs import STEP_SIZE, PointMass, ResetsItself
 from transform_cases import POSITION, drive, proportional, random_actions
 
 BOX = {"low": -0.5, "high": [0.5, 0.55]}  # PointMass starts in it
@@ -171,6 +171,19 @@ def test_a_violation_is_counted_where_and_only_where_the_action_was_changed() ->
     for mine, other in zip(drive(free, actions), drive(bare, actions), strict=True):
         assert torch.equal(mine[POSITION], other[POSITION])
         assert not mine["safety", "step"].any()
+
+
+@pytest.mark.parametrize("kind", [PointMass, ResetsItself])
+def test_the_step_that_ends_an_episode_counts(kind) -> None:
+    env = TransformedEnv(kind((3,), episode_steps=4), StepLimit(size=0.5))
+    td = env.reset()
+    for step in range(1, 9):
+        ends = step % 4 == 0
+        pushed = torch.tensor([[0.1], [1.0], [float(ends)]]).expand(3, 2)
+        out = env.step(env.maybe_reset(td).set("action", pushed))
+        assert out["next", "safety", "step"].flatten().tolist() == [False, True, ends]
+        assert out["next", "done"].all() == ends
+        td = step_mdp(out)
 
 
 def force_of(limit: ForceLimit, action: list[float], force: list[float]) -> list[float]:
