@@ -66,7 +66,7 @@ class RealTime(Collection):
         self._hand_over.folder.mkdir(parents=True, exist_ok=True)
         self._recipe = settings, environment, exploration
         self._process = ActingProcess(self._hand_over)
-        self._owns = self._stopped = False
+        self._owns = self._stopped = self._evaluates = False
         self._seed = first_seed(Stream.TRAINING, settings.seed)
         self._returns = EpisodeReturns(1)
         self._log = TransitionLog(self._hand_over.folder / TRANSITIONS)
@@ -83,9 +83,12 @@ class RealTime(Collection):
         self._hand_over.said()  # to whom was there before
 
     def tell(self, request: Request) -> None:
-        """Pass on what a person asks for, also to the process."""
-        super().tell(request)
-        self._hand_over.tell(request)
+        """Pass on what a person asks for; a judgement goes to whoever has the robot now."""
+        judges = request in (Request.SUCCEEDED, Request.FAILED)
+        if self._evaluates or not judges:
+            super().tell(request)
+        if not (self._evaluates and judges):
+            self._hand_over.tell(request)
 
     def release(self) -> None:
         """End a pause here; the process, which is to end as well, leaves the robot where it is."""
@@ -154,7 +157,11 @@ class RealTime(Collection):
         """Have the robot here while the body runs, once the episode under way has ended."""
         priority = self.settings.realtime.priority if self._is_robot else 0
         with self._hand_over.having_robot(), prioritized(priority):
-            yield
+            self._evaluates = True
+            try:
+                yield
+            finally:
+                self._evaluates = False
 
     def forget(self, first: int) -> None:
         """Remove the acting process's records before ``first``, file by file."""

@@ -6,10 +6,13 @@ from dataclasses import replace
 from functools import partial
 
 import pytest
+import torch
+from tensordict import TensorDict
 
 from rrl.controllers import ProportionalController
 from rrl.interventions import ScriptedOperator
 from rrl.trainers.loggers import read_metrics
+from rrl.trainers.requests import Request
 from rrl.trainers.settings import AcceptanceSettings, EvaluationSettings, RealTimeSettings
 from rrl.trainers.training.interruption import Interrupted
 from rrl.trainers.training.realtime.hand_over import FOLDER, HandOver
@@ -108,5 +111,27 @@ def test_a_person_judges_pauses_and_stops(make):
     thread.join(60)
     assert not thread.is_alive()
     assert steps() == here  # there may be a hand where the robot would go
+    assert_judged_where_the_robot_is(trainer)
     trainer.close()
     assert not HandOver(trainer.run_dir / FOLDER).is_alive()
+
+
+def assert_judged_where_the_robot_is(trainer):
+    """A judgement is for the process, or for an evaluation while that has the robot."""
+
+    def here():
+        """Whether an evaluation's episode would be judged."""
+        flag = torch.zeros(1, dtype=torch.bool)
+        td = TensorDict({"done": flag, "truncated": flag.clone(), "success": flag.clone()}, [])
+        trainer.collection.requests.judge(td)
+        return bool(td["done"])
+
+    process = HandOver(trainer.run_dir / FOLDER)
+    process.heard()
+    assert not here()  # of all that was judged in training
+    trainer.person.succeeded()
+    assert process.heard() == [Request.SUCCEEDED] and not here()
+    with trainer.collection.paused():
+        trainer.person.failed()
+        trainer.person.pause()  # is for both
+        assert process.heard() == [Request.PAUSE] and here() and trainer.person.paused
