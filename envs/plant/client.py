@@ -37,6 +37,7 @@ class RemoteRobot(Robot):
 
     Raises:
         RobotFault: If an answer takes longer, or the robot refuses.
+        ValueError: If the address is none.
     """
 
     def __init__(
@@ -49,8 +50,12 @@ class RemoteRobot(Robot):
         self.address = address
         self._context = zmq.Context()
         self._name, self._number = uuid.uuid4().hex, 0  # the same in every connection
-        self._connect()
-        described = self.ask("describe", connect_patience)
+        try:
+            self._connect()
+            described = self.ask("describe", connect_patience)
+        except BaseException:
+            self.close()
+            raise
         self.description = to_description(described["description"])
         self._patience = 0.4 * self.description.period if patience is None else patience
         self._reset_patience = reset_patience
@@ -95,14 +100,22 @@ class RemoteRobot(Robot):
                 return answer
         self._socket.close(0)  # with everything that is still on its way
         self._connect()
+        remedy = "; start what listens there (python -m rrl.envs.plant)"
         raise RobotFault(
             f"{self.address}: expected an answer to {call} within {1e3 * patience:.0f} ms, got none"
+            + (remedy if call == "describe" else "")
         )
 
     def _connect(self) -> None:
         self._socket = self._context.socket(zmq.DEALER)
         self._socket.setsockopt(zmq.RECONNECT_IVL, 20)  # ms; the default backs off
-        self._socket.connect(self.address)
+        try:
+            self._socket.connect(self.address)
+        except zmq.ZMQError as error:
+            raise ValueError(
+                f"address: expected one such as {ADDRESS} or tcp://HOST:5555, got "
+                f"{self.address!r}: {error}"
+            ) from error
 
     def _send(self, message: bytes) -> None:
         try:
