@@ -21,7 +21,7 @@ from rrl.algorithms.readings import Readings, with_shapes
 from rrl.algorithms.reward_scale import RewardScale
 from rrl.algorithms.settings import AgentSettings
 from rrl.algorithms.symmetric_actor import SymmetricActor
-from rrl.algorithms.transfer import take_over, twin
+from rrl.algorithms.transfer import ingredients, remade, take_over
 from rrl.algorithms.updates import UPDATES_PER_GRAPH, Kind, Updates
 from rrl.algorithms.value_bounds import BoundedTD0Estimator, bound_values
 from rrl.checks import check_whole
@@ -286,8 +286,8 @@ class Agent(nn.Module, ABC):
     def _apply(self, fn: Any, recurse: bool = True) -> Agent:
         return super()._apply(once_each(fn), recurse)
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Agent:
-        return twin(self)
+    def __reduce__(self) -> tuple[Any, ...]:
+        return remade, ingredients(self)  # for copies and pickles
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return what a checkpoint needs beyond tensors."""

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import copy
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -36,23 +35,26 @@ def take_over(agent: Agent, other: Agent) -> None:
         agent.is_calibrated = True
 
 
-def twin(agent: Agent) -> Agent:
-    """Return an agent of the same arguments and state, on the same device, with tensors of its own.
-
-    To copy one part after the other would not do: TorchRL's losses copy their parameters apart from
-    the policy and the optimizers, which have to hold the same ones.
-    """
+def ingredients(agent: Agent) -> tuple[Any, ...]:
+    """Return what :func:`remade` makes an equal agent of."""
     lengths = {"gamma": agent.gamma, "penalty_updates": agent.penalty_updates}
+    beside = {"critic_inputs": agent.critic_inputs, "symmetry": agent.symmetry}
+    arguments = {**dict(agent.settings), **lengths, **beside}
+    return type(agent), agent.inputs, agent.action_size, arguments, agent.state_dict()
+
+
+def remade(
+    kind: type[Agent], inputs: Any, action_size: int, arguments: dict[str, Any], state: Any
+) -> Agent:
+    """Return an agent of these arguments and state, on the state's device.
+
+    To copy or pickle one part after the other would not do: TorchRL's losses copy their parameters
+    apart from the policy and the optimizers, which have to hold the same ones.
+    """
     with torch.random.fork_rng(devices=[]):
-        other = type(agent)(
-            agent.inputs,
-            agent.action_size,
-            critic_inputs=agent.critic_inputs,
-            symmetry=agent.symmetry,
-            **{**dict(agent.settings), **lengths},
-        )
-    other.to(agent.residual_weight.device).load_state_dict(copy.deepcopy(agent.state_dict()))
-    return other
+        agent = kind(inputs, action_size, **arguments)
+    agent.to(state["residual_weight"].device).load_state_dict(state)
+    return agent
 
 
 def _learned(agent: Agent) -> dict[str, Tensor]:

@@ -1,6 +1,7 @@
 """What every algorithm must do, whichever it is."""
 
 import copy
+import io
 from functools import partial
 
 import pytest
@@ -71,6 +72,13 @@ def test_data_of_double_precision_is_learned_from_in_single(algorithm):
         assert torch.equal(value, parameters(double)[name]), name
 
 
+def pickled(agent):
+    file = io.BytesIO()
+    torch.save(agent, file)
+    file.seek(0)
+    return torch.load(file, weights_only=False)
+
+
 @pytest.mark.parametrize(
     ("algorithm", "arguments"),
     [
@@ -81,12 +89,13 @@ def test_data_of_double_precision_is_learned_from_in_single(algorithm):
         (TD3, {"critic_inputs": {"observation": 5}}),
     ],
 )
-def test_a_copy_learns_on_as_the_original_does(algorithm, arguments):
+@pytest.mark.parametrize("copied", [copy.deepcopy, pickled])
+def test_a_copy_learns_on_as_the_original_does(algorithm, arguments, copied):
     agent = make_agent(algorithm, last_layer_bound=0.1, reward_scale=None, **arguments)
     agent.calibrate(batches(1)[0])
     learn(agent, 3)
     random = torch.get_rng_state()
-    other = copy.deepcopy(agent)
+    other = copied(agent)
     assert torch.equal(torch.get_rng_state(), random)
     before = copy.deepcopy(parameters(agent))
     learn(other, 3, seed=1)
