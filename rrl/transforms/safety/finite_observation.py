@@ -12,7 +12,7 @@ from torch import Tensor
 from torchrl.data import Binary, Composite
 
 from rrl.checks import check_whole, require
-from rrl.keys import BASE_ACTION, REWARD, SAFETY
+from rrl.keys import BASE_ACTION, SAFETY
 from rrl.slot_masks import any_done, merge, truncate
 from rrl.transforms.base import Mask, Memory, SlotTransform
 
@@ -30,7 +30,7 @@ class FiniteObservation(SlotTransform):
     :class:`~rrl.FiniteAction` holds the command where the controller's action was lost.
     An environment that resets itself within a step cannot be told to end, and goes on.
 
-    env -> policy: reads and corrects ``in_keys`` and the reward; sets "truncated" and "done";
+    env -> policy: reads and corrects ``in_keys`` and all rewards; sets "truncated" and "done";
     writes ("safety", "observation"), bool ``[*batch, 1]``: whether the step or the reset had such a
     number, or the step ends an episode whose reset had.
     policy -> env: gives NaN back, see above.
@@ -63,7 +63,8 @@ class FiniteObservation(SlotTransform):
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
         # What an episode that has started shows is a reset's; the reward is the last step's.
         started = any_done(next_td) if self.resets_itself() else None
-        values = self._floats(next_td, (*self.in_keys, REWARD))
+        rewards = self.container.reward_keys
+        values = self._floats(next_td, (*self.in_keys, *rewards))
         lost = self._replace(next_td, values, mask, started)
         flag = _any_of(lost, next_td) | self.recall("blind")
         if mask is not None:
@@ -73,8 +74,8 @@ class FiniteObservation(SlotTransform):
                 truncate(next_td, flag)
         elif self._in_a_row and any_done(next_td).any():
             self._in_a_row = 0
-        values.pop(REWARD, None)
-        return self._memory(values, {}, flag, blind=torch.zeros_like(flag))
+        seen = {key: value for key, value in values.items() if key not in rewards}
+        return self._memory(seen, {}, flag, blind=torch.zeros_like(flag))
 
     def _advance_or_start(
         self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask, started: Tensor
@@ -105,7 +106,7 @@ class FiniteObservation(SlotTransform):
             td: What is corrected.
             values: Of its entries.
             mask: Slots that count.
-            started: Slots of which the reward alone counts, bool ``[*batch]``; None: none.
+            started: Slots of which the rewards alone count, bool ``[*batch]``; None: none.
 
         Returns:
             Of every entry with such a number, in which slots, bool ``[*batch]``.
@@ -116,7 +117,7 @@ class FiniteObservation(SlotTransform):
         for key, value in values.items():
             slots = ~value.isfinite().reshape(*td.batch_size, -1).all(-1)
             slots = slots if mask is None else slots & mask
-            slots = slots if started is None or key == REWARD else slots & ~started
+            slots = slots if started is None or key not in self.in_keys else slots & ~started
             if slots.any():
                 lost[key] = slots
                 kept = self.memory.get(f"known {key}", torch.zeros_like(value))

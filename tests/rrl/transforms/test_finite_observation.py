@@ -3,6 +3,7 @@
 import pytest
 import torch
 from torchrl.envs import SerialEnv, TransformedEnv
+from torchrl.envs.transforms import Compose, RenameTransform
 
 from rrl.controllers import ProportionalController
 from rrl.transforms import FiniteAction, FiniteObservation, ResidualAction
@@ -47,6 +48,15 @@ def test_the_step_before_stands_and_the_episode_ends(bad, broken):
     assert not last["terminated"].any()
     assert not any(record["next"][FLAG].any() for record in seen[1:3])
     assert all(v.isfinite().all() for v in last.values(True, True) if v.is_floating_point())
+
+
+@pytest.mark.parametrize("name", ["gain", ("agents", "reward")])
+def test_a_reward_may_have_any_name(name):
+    chain = RenameTransform(["reward"], [name]), FiniteObservation(["goal"])
+    env = TransformedEnv(Sensor([2], broken="reward"), Compose(*chain))
+    last = drive(env, random_actions(3, 2, 2))[3]["next"]
+    assert last[name][0] == 0
+    assert last["done"].flatten().tolist() == [True, False]
 
 
 def test_after_the_reset_it_goes_on():
