@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
-from torchrl.data import Binary
+from torchrl.data import Binary, Composite
 from torchrl.envs import GymWrapper
 from torchrl.envs.gym_like import default_info_dict_reader
 
@@ -86,18 +86,27 @@ def _made(make: Any, max_episode_steps: int | None, arguments: dict[str, Any]) -
 
 
 class _Named(GymWrapper):
-    """Leaves the entry ``state`` its name, where TorchRL makes it ``observation``."""
+    """Leaves entries called ``state`` their name, where TorchRL makes it ``observation``."""
 
     def _make_specs(self, env: Any, batch_size: Any = None) -> None:
         super()._make_specs(env, batch_size)
-        names = getattr(env.observation_space, "spaces", {})
-        if "state" in names and "observation" not in names:
-            spec = super().observation_spec
-            spec["state"] = spec["observation"]
-            del spec["observation"]
-            self.observation_spec = spec
+        spec = super().observation_spec
+        _rename_states(spec, env.observation_space)
+        self.observation_spec = spec
 
     def read_obs(self, observations: Any) -> dict[str, Any]:
         """Read an observation; TorchRL renames the entries of a ``dict`` alone."""
         named = UserDict(observations) if isinstance(observations, dict) else observations
         return dict(super().read_obs(named))
+
+
+def _rename_states(spec: Composite, space: Any) -> None:
+    """Give the entries ``state`` of a space and of the spaces in it their names back."""
+    entries = getattr(space, "spaces", None)
+    if not isinstance(entries, dict):
+        return
+    if "state" in entries and "observation" not in entries:
+        spec["state"] = spec["observation"]
+        del spec["observation"]
+    for name, inner in entries.items():
+        _rename_states(spec[name], inner)

@@ -103,6 +103,23 @@ def test_entries_keep_their_names(names) -> None:
     assert env.rollout(2)["next", "state"].shape == (2, 4)
 
 
+def test_entries_of_groups_keep_their_names_too() -> None:
+    class Grouped(Reach):
+        def __init__(self):
+            super().__init__(flat=True)
+            arm = gymnasium.spaces.Dict({"state": self.observation_space})
+            self.observation_space = gymnasium.spaces.Dict({"arm": arm, "state": arm})
+
+        def _observe(self):
+            arm = {"state": super()._observe()}
+            return {"arm": arm, "state": arm}
+
+    env = gymnasium_env(Grouped, success="is_success", max_episode_steps=6)
+    check_env_specs(env)
+    following = env.rollout(2)["next"]
+    assert following["arm", "state"].shape == following["state", "state"].shape == (2, 4)
+
+
 def test_success_is_what_info_says() -> None:
     """A step or two lead to the goal; a reset is no success."""
     rollout = with_residual(reach()).rollout(6)
