@@ -9,7 +9,7 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
 
-from rrl.checks import check, per_dimension
+from rrl.checks import check, check_length, per_dimension
 from rrl.controllers.base import Controller, clipped, floating
 from rrl.keys import BASE_ACTION
 
@@ -29,7 +29,8 @@ class SumController(Controller):
     Raises:
         TypeError: If a member is not a controller.
         ValueError: If there is no controller, one with a memory comes twice, the number of weights
-            differs, a weight is not finite, or ``clip`` is not positive.
+            differs, a weight is not finite, or ``clip`` is not positive; when run, if actions,
+            weights and ``clip`` do not fit together.
     """
 
     def __init__(
@@ -73,7 +74,16 @@ class SumController(Controller):
         for number, controller in enumerate(self.controllers):
             assert isinstance(controller, Controller)
             action = floating(controller.act(tensordict))
-            action = action * getattr(self, f"_weight{number}").to(action.dtype)
-            total = action if total is None else total + action
+            weight = getattr(self, f"_weight{number}")
+            check_length("weights", weight, action.shape[-1], f"{controller.called()}'s action")
+            if total is not None and total.shape != action.shape:
+                raise ValueError(
+                    f"controllers: expected actions of one shape, got {tuple(total.shape)} and, of "
+                    f"{controller.called()}, {tuple(action.shape)}"
+                )
+            weighted = action * weight.to(action.dtype)
+            total = weighted if total is None else total + weighted
         assert total is not None
+        if self._limit is not None:
+            check_length("clip", self._limit, total.shape[-1], "the sum")
         return clipped(total, self._limit)

@@ -86,3 +86,17 @@ def test_bad_members() -> None:
         SumController([ZeroController(2)], clip=0.0)
     with pytest.raises(ValueError, match="weights: expected finite"):
         SumController([ZeroController(2)], weights=[float("inf")])
+
+
+@pytest.mark.parametrize(
+    ("members", "settings", "message"),
+    [
+        ([constant(1.0, 1.0)], {"weights": [[1.0] * 3]}, "weights: .* ReplayController's action"),
+        ([constant(1.0)], {"weights": [[1.0, 2.0]]}, "weights: expected one number or 1"),
+        ([constant(1.0, 1.0)], {"clip": [1.0] * 3}, "clip: expected one number or 2"),
+        ([constant(1.0, 1.0), constant(1.0)], {}, r"one shape, got \(2, 2\) and.*\(2, 1\)"),
+    ],
+)
+def test_what_does_not_fit_together_is_named(members, settings, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        SumController(members, **settings).act(data())
