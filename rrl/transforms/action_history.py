@@ -54,7 +54,7 @@ class ActionHistory(ActionTransform):
         return tensordict
 
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
-        nothing = torch.zeros_like(self.limits().low)
+        nothing = self.nothing(td)
         return {"history": nothing.repeat_interleave(self.steps, -1), "given": nothing}
 
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:

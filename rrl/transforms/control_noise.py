@@ -112,7 +112,7 @@ class ControlNoise(ActionTransform, RandomTransform):
         return limits
 
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
-        return {"executed": torch.zeros_like(self.limits().low)}
+        return {"executed": self.nothing(td)}
 
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
         return {"executed": self.executed(td)}

@@ -156,7 +156,7 @@ class Intervention(ActionTransform):
             self._claim = self.operator.claim()
         self.operator.reset(mask)
         asked = self._ask(td, mask)
-        nothing = torch.zeros_like(self.limits().low)
+        nothing = self.nothing(td)
         false = torch.zeros_like(asked["engaged"])
         return {
             **{"active": false, "exceeds": false, "action": nothing},
@@ -176,7 +176,8 @@ class Intervention(ActionTransform):
             said = operator(tensordict.copy())
         action = require(operator, said, OPERATOR_ACTION).to(limits.dtype)
         engaged = require(operator, said, TAKEN_OVER).bool()
-        expected = {OPERATOR_ACTION: limits.shape, TAKEN_OVER: (*limits.shape[:-1], 1)}
+        shape = self.shape_in(tensordict)
+        expected = {OPERATOR_ACTION: shape, TAKEN_OVER: (*shape[:-1], 1)}
         for name, value in ((OPERATOR_ACTION, action), (TAKEN_OVER, engaged)):
             if tuple(value.shape) != tuple(expected[name]):
                 raise ValueError(

@@ -141,9 +141,9 @@ class ResidualAction(ActionTransform):
             )
         if limits is None:
             return {"base_action": action}
-        if action.shape != limits.shape:
+        if action.shape != (shape := self.shape_in(tensordict)):
             raise ValueError(
-                f"{controller.called()}: expected an action of shape {tuple(limits.shape)}, "
+                f"{controller.called()}: expected an action of shape {tuple(shape)}, "
                 f"got {tuple(action.shape)}"
             )
         return {"base_action": action.to(limits.dtype)}

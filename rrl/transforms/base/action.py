@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import torch
 from tensordict import NestedKey, TensorDictBase, unravel_key
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
@@ -30,6 +31,7 @@ class ActionTransform(SlotTransform):
     """Whether the action leaves in the units in which it comes."""
 
     _limits: ActionLimits | None = None
+    _batch_dims = 0  # of the environment
     _arrives_in_units = True  # in those of this place, at the environment
 
     def __init__(self, *, action_key: NestedKey, **keys: Any) -> None:
@@ -56,8 +58,21 @@ class ActionTransform(SlotTransform):
 
     def _take_limits(self, action_spec: Composite) -> ActionLimits:
         self._limits = limits_of(action_leaf(action_spec, self._action_key))
+        self._batch_dims = action_spec.ndim
         self._arrives_in_units = all(map(self._leaves_units, self._nearer()))
         return self._limits
+
+    def shape_in(self, tensordict: TensorDictBase) -> torch.Size:
+        """Return the action's shape for the slots of ``tensordict``.
+
+        These are the environment's, unless it takes any number of them (``batch_locked`` is False).
+        """
+        shape = self.limits().shape
+        return tensordict.batch_size + shape[self._batch_dims :]
+
+    def nothing(self, tensordict: TensorDictBase) -> Tensor:
+        """Return an action of zeros for the slots of ``tensordict``."""
+        return self.limits().low.new_zeros(self.shape_in(tensordict))
 
     def action(self, tensordict: TensorDictBase) -> Tensor:
         """Return the action ``[*batch, n_act]`` in the precision and on the device of here."""

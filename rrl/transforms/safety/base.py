@@ -58,7 +58,7 @@ class SafetyLimit(ActionTransform):
 
         By default zeros.
         """
-        return torch.zeros_like(self.limits().low)
+        return self.nothing(tensordict)
 
     @abstractmethod
     def limit(self, action: Tensor, measured: Tensor, limits: ActionLimits) -> Tensor:
@@ -73,7 +73,7 @@ class SafetyLimit(ActionTransform):
 
         By default zeros, which for a displacement is to stay.
         """
-        return torch.zeros_like(self.limits().low)
+        return self.nothing(tensordict)
 
     def changed(self, action: Tensor, safe: Tensor) -> Tensor:
         """Return whether the limit was violated, bool ``[*batch, 1]``."""

@@ -93,7 +93,7 @@ class WorkspaceLimit(SafetyLimit):
 
     def _first(self, td: TensorDictBase, mask: Mask) -> Memory:
         memory = super()._first(td, mask)
-        nothing = torch.zeros_like(self.limits().low).unsqueeze(-2)
+        nothing = self.nothing(td).unsqueeze(-2)
         return memory | {_SINCE: nothing.expand(*nothing.shape[:-2], self.delay, -1).clone()}
 
     def _advance(self, td: TensorDictBase, next_td: TensorDictBase, mask: Mask) -> Memory:
