@@ -40,8 +40,9 @@ def check_targets(config: Config, built: dict[str, Any]) -> Problems:
     for path, node, given in nodes:
         yield from _check_build(path, node, given, built)
     scenarios = {f"env.scenarios.{name}": node for name, node in env["scenarios"].items()}
+    slots = {"num_envs": 1} if env["batching"] == "native" else {}
     for path, overrides in {"env.base": {}, **scenarios}.items():
-        yield from _check_environment(path, {**env["base"], **(overrides or {})})
+        yield from _check_environment(path, {**env["base"], **(overrides or {})}, slots)
     if env.get("renderer"):
         yield from _check_renderer("env.renderer", env["renderer"])
 
@@ -113,9 +114,9 @@ def _check_renderer(path: str, node: Target) -> Problems:
         )
 
 
-def _check_environment(path: str, node: Target) -> Problems:
+def _check_environment(path: str, node: Target, given: Config) -> Problems:
     """Check an environment's arguments by signature, and by ``check_arguments`` if it has one."""
-    found = [*_check_inner(path, node), *_check_arguments(path, node, {"num_envs": 1})]
+    found = [*_check_inner(path, node), *_check_arguments(path, node, given)]
     yield from found
     if found:
         return
@@ -167,6 +168,8 @@ def _check_arguments(
     names = [n for n, p in parameters.items() if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)]
     supplied = {*names[:positional], *(given or ())}
     takes = [n for n in names if n not in supplied]
+    for key in sorted(supplied.intersection(node)):
+        yield f"{path}: {target} gets {key!r} from the run: expected none here, got {node[key]!r}"
     if not _takes_any(parameters):
         for key in sorted(set(node) - set(names) - {"_target_"}):
             yield f"{path}: {target} does not take {key!r}; it takes {', '.join(takes)}"
@@ -193,7 +196,7 @@ def _parameters(target: Any) -> dict[str, inspect.Parameter]:
         return parameters
     kept = {n: p for n, p in parameters.items() if p.kind is not p.VAR_KEYWORD}
     keyword = inspect.Parameter.KEYWORD_ONLY
-    fields = [*settings.model_fields, "symmetry", "episode_steps", "critic_inputs"]
+    fields = settings.model_fields
     return kept | {n: inspect.Parameter(n, keyword, default=None) for n in fields}
 
 

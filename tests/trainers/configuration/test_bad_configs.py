@@ -45,6 +45,11 @@ BROKEN = {
         "env.inputs.blocks.loc: expected 1 or 39 numbers, got 13",
     ],
     "+env.critic_inputs.wrench={}": ["env.critic_inputs", "does not have 'wrench'", "force_z"],
+    # what the run gives itself
+    "+env.base.num_envs=4": [f"{BASE}: ", "gets 'num_envs' from the run", "got 4"],
+    "+algorithm.agent.episode_steps=9": [AGENT, "'episode_steps'", "9"],
+    "+algorithm.exploration.spec=x": ["algorithm.exploration", "gets 'spec' from the run", "'x'"],
+    "+env.renderer.width=64": ["env.renderer", "gets 'width' from the run", "64"],
     # unknown choices
     "env=insertion-mars": ["insertion-mars"],
     "algorithm=ppo": ["ppo"],
