@@ -35,6 +35,13 @@ def check_whole(name: str, value: float, minimum: int) -> int:
     return int(value)
 
 
+def check_sizes(name: str, values: object) -> None:
+    """Raise a ValueError unless ``values`` is a list of whole numbers above 0."""
+    listed = isinstance(values, Sequence) and not isinstance(values, str)
+    fine = listed and all(isinstance(n, int) and n > 0 for n in values)  # type: ignore[attr-defined]
+    check(name, values, "a list of whole numbers above 0", fine)
+
+
 def check_share(name: str, value: float, *, below_one: bool = False) -> float:
     """Return a share or a probability.
 

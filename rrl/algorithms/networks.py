@@ -11,6 +11,8 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
 
+from rrl.checks import check_sizes
+
 NetworkFactory = Callable[..., nn.Module]
 """Called with ``in_features`` and ``out_features``."""
 
@@ -55,10 +57,9 @@ def mlp(
         layer_norm: Normalize every hidden layer before its ReLU.
 
     Raises:
-        ValueError: If a width is not a whole number of at least 1.
+        ValueError: If ``hidden`` is no list of whole numbers above 0.
     """
-    if isinstance(hidden, str) or not all(isinstance(w, int) and w > 0 for w in hidden):
-        raise ValueError(f"hidden: expected a list of whole numbers above 0, got {hidden!r}")
+    check_sizes("hidden", hidden)
     layers: list[nn.Module] = []
     width = in_features
     for size in hidden:

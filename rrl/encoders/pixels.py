@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from rrl.checks import check_sizes
 from rrl.encoders.concatenate import Concatenate
 from rrl.encoders.images import ImagesBesideNumbers, as_channels_first
 from rrl.encoders.interface import Inputs
@@ -140,8 +141,7 @@ def _check_layers(
         ValueError: Naming the argument, what was expected and what came.
     """
     for name, numbers in (("channels", channels), ("kernels", kernels), ("strides", strides)):
-        if isinstance(numbers, str) or not all(isinstance(n, int) and n > 0 for n in numbers):
-            raise ValueError(f"{name}: expected a list of whole numbers above 0, got {numbers!r}")
+        check_sizes(name, numbers)
     if not len(channels) == len(kernels) == len(strides) > 0:
         raise ValueError(
             "channels, kernels, strides: expected lists of the same length, one number a layer, "
