@@ -28,6 +28,7 @@ Loading executes no code: tensors are read as weights only, the rest is JSON and
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 import shutil
@@ -96,7 +97,7 @@ class Checkpoints:
         try:
             self._checkpoint.save(stage)
             seal(stage, {"env_steps": env_steps, **note})
-        except (OSError, RuntimeError) as error:  # PyTorch reports a full disk as a RuntimeError
+        except (OSError, RuntimeError) as error:  # the second: what is read back is not whole
             shutil.rmtree(stage, ignore_errors=True)
             raise OSError(f"cannot write checkpoint {destination}: {error}") from error
         stage.rename(destination)
@@ -218,7 +219,9 @@ class _WeightsOnly(CheckpointAdapter):
 
     def save(self, component: Any, path: Path, **_: Any) -> Any:
         path.mkdir(parents=True)
-        torch.save(to_plain(component.state_dict(), path.name), path / self.FILE)
+        state = io.BytesIO()  # PyTorch's own writer does not say that a disk is full
+        torch.save(to_plain(component.state_dict(), path.name), state)
+        (path / self.FILE).write_bytes(state.getbuffer())
         torch.load(path / self.FILE, map_location="cpu", weights_only=True)  # or it does not count
 
     def load(self, component: Any, path: Path, **_: Any) -> Any:
