@@ -191,7 +191,7 @@ def _report(arguments: list[str]) -> None:
 
     chosen, rest = _split(arguments, ("out",))
     named = [as_path(argument) for argument in rest]
-    if not named or any("=" in path.name and not path.exists() for path in named):
+    if not named or any("=" in given and not as_path(given).exists() for given in rest):
         raise ValueError(
             f"runs: expected their directories, rrl report RUN... [out=FILE], got {arguments}"
         )

@@ -82,8 +82,9 @@ def test_the_command_takes_runs_or_a_folder_of_runs(runs, tmp_path, capsys, monk
     assert (runs[1] / "report.html").is_file()
     assert main(["report", "nothing"]) == 2
     assert "expected the directory of a run" in capsys.readouterr().err
-    assert main(["report", "to=x.html"]) == 2
-    assert "expected their directories" in capsys.readouterr().err
+    for wrong in ("to=x.html", f"run={runs[1]}"):
+        assert main(["report", wrong]) == 2
+        assert "expected their directories" in capsys.readouterr().err
 
 
 def test_a_learning_curve_of_a_group_or_of_nothing(runs, tmp_path):
