@@ -106,6 +106,7 @@ def compose(overrides: Sequence[str], folder: Path | None = None) -> dict[str, A
         folder: The project's configurations; None: ``configs`` of the working directory.
     """
     _prepare(folder)
+    _require_choices(overrides)
     with hydra.initialize_config_module(PACKAGE, version_base="1.3"):
         return _resolved(hydra.compose(PRIMARY, overrides=list(overrides)))
 
@@ -123,6 +124,7 @@ def compose_train(overrides: Sequence[str], run_dir: Path | None) -> Composed:
         _store(run_dir, overrides)
         with hydra.initialize(version_base="1.3", config_path=None):
             return Composed(_resolved(hydra.compose(SAVED, list(overrides))), run_dir)
+    _require_choices(overrides)
     with hydra.initialize_config_module(PACKAGE, version_base="1.3"):
         config = hydra.compose(PRIMARY, list(overrides), return_hydra_config=True)
     chosen = any(override.startswith("hydra.run.dir=") for override in overrides)
@@ -162,6 +164,8 @@ def through_hydra(
         if run_dir is not None:
             _store(run_dir, arguments, {"run": {"dir": folder}, "sweep": {"dir": folder}})
             path, name = (None, SAVED)  # type: ignore[assignment]
+        else:
+            _require_choices(arguments)
         sys.argv = ["rrl", *arguments]
         hydra.main(version_base="1.3", config_path=path, config_name=name)(task)()
     for failure in _signals(failures) or [failures[job] for job in failures if not job]:
@@ -207,6 +211,14 @@ def _prepare(folder: Path | None = None) -> None:
     if ProjectConfigs not in Plugins.instance().discover(SearchPathPlugin):
         Plugins.instance().register(ProjectConfigs)
     OmegaConf.register_new_resolver("plain", plain_name, replace=True)
+
+
+def _require_choices(overrides: Sequence[str]) -> None:
+    """Refuse null in the place of a group's file, which Hydra does without naming the group."""
+    for override in overrides:
+        group, _, choice = override.partition("=")
+        if choice == "null" and (OURS / group).is_dir():
+            raise ValueError(f"{group}: expected one of its files, or ~{group} for none, got null")
 
 
 @_in_our_words()

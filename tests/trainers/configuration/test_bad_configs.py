@@ -55,6 +55,7 @@ BROKEN = {
     "env=insertion-mars": ["insertion-mars"],
     "algorithm=ppo": ["ppo"],
     "disturbance=wind": ["wind"],
+    "safety=null": ["safety: expected one of its files, or ~safety for none, got null"],
     "env.base.variant=mars": [BASE, "variant", "'mars'", "real", "sim"],
     "env.batching=threads": ["env.batching", "native", "serial", "threads"],
     "trainer.matmul_precision=low": ["trainer.matmul_precision", "highest", "low"],
