@@ -119,7 +119,8 @@ def _physics_state(base: Any) -> Any:
     if not hasattr(base, "physics_state"):
         raise TypeError(
             f"base: expected a method physics_state(), which gives the renderer an array of this "
-            f"moment, got a {type(base).__name__} without; or set env.renderer=null"
+            f"moment, got a {type(base).__name__} without; of a MuJoCo environment it returns "
+            "rrl.envs.mujoco_state(self). Or set env.renderer=null"
         )
     return base.physics_state()
 

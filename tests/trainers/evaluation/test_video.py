@@ -99,6 +99,6 @@ def test_an_environment_without_a_state_to_draw_is_named(environment):
     )
     env = factory.make()
     with pytest.raises(
-        TypeError, match=r"base: expected a method physics_state\(\), .* PixelPoint"
+        TypeError, match=r"base: expected a method physics_state\(\), .* PixelPoint .*mujoco_state"
     ):
         record(env, zero_residual(env), seed=5, max_steps=6)
