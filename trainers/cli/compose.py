@@ -246,6 +246,11 @@ def _store(run_dir: Path, overrides: Sequence[str], own: Mapping[str, Any] | Non
         raise ValueError(f"{path}: expected a run's configuration, got {config!r}")
     for override in overrides:
         key, _, value = override.partition("=")
+        if key.lstrip("+") in ("hydra.run.dir", "hydra.sweep.dir"):
+            raise ValueError(
+                f"{key}: expected none beside a run's own directory, which gets everything, got "
+                f"{value}; to keep {run_dir} as it is, copy it and name the copy"
+            )
         if isinstance(section := config.get(key), dict) and not _PART.match(value):
             raise ValueError(
                 f"{key}: expected a change of what this run has, such as {key}."

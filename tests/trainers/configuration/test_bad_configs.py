@@ -296,3 +296,9 @@ def test_a_saved_run_has_no_groups(tmp_path, override, message):
     with pytest.raises(ValueError, match=message):
         compose_train([override], tmp_path)
     assert compose_train(["logger=null"], tmp_path).config["logger"] is None
+
+
+def test_a_saved_run_goes_nowhere_else(tmp_path):
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(compose([])))
+    with pytest.raises(ValueError, match=r"^hydra\.run\.dir: .* got elsewhere; .* copy it"):
+        compose_train(["hydra.run.dir=elsewhere"], tmp_path)
