@@ -203,10 +203,10 @@ def iqm_interval(*strata: Values, resamples: int = 2000) -> Interval:
     """Return the stratified percentile bootstrap of :func:`iqm`.
 
     Runs are drawn anew within each stratum (task or setting). Not a number if a stratum has a
-    single run.
+    single run, or a value that is none.
     """
     arrays = [np.asarray(values, dtype=float) for values in strata]
-    if any(len(values) < 2 for values in arrays):
+    if any(len(values) < 2 or not np.isfinite(values).all() for values in arrays):
         return NO_INTERVAL
     if np.ptp(np.concatenate(arrays)) == 0:
         return iqm(*arrays), iqm(*arrays)

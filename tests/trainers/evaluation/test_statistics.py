@@ -35,6 +35,10 @@ def test_one_run_says_nothing_about_others():
     assert np.isnan(mean_interval([0.5])).all()
     assert np.isnan(iqm_interval([0.5])).all()
     assert np.isnan(iqm_interval([0.5, 0.6], [0.5])).all()
+
+
+def test_a_return_that_is_no_number_has_no_interval():
+    assert np.isnan(iqm_interval([0.5, 0.6, 0.7, np.nan], [0.5, 0.6])).all()
     assert rate_interval([15], 20) == wilson(15, 20)
     assert success_interval([[True] * 15 + [False] * 5]) == wilson(15, 20)
 
