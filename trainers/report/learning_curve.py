@@ -41,8 +41,8 @@ def learning_curve(group: Group, out: Path) -> Path | None:
     runs = f"{len(group.runs)} runs" if len(group.runs) > 1 else "one run"
     figure.suptitle(f"{group.label}, {group.followed}: {runs}", fontsize=11)
     out.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out, dpi=150)
-    figure.savefig(out.with_suffix(".svg"))
+    for path in (out, out.with_suffix(".svg")):  # as wide as the run's name
+        figure.savefig(path, dpi=150, bbox_inches="tight")
     return out
 
 

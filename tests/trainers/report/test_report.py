@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from functools import partial
 
+import imageio.v3 as iio
 import numpy as np
 import pytest
 
@@ -258,3 +259,9 @@ def test_groups_look_different_though_there_are_more_than_colors(tmp_path):
     figure = curves(group_runs(find_runs(paths)), LEARNING[:1])
     means = [trace.line for trace in figure.data if (trace.meta or {}).get("Show") == "mean"]
     assert len({(line.color, line.dash) for line in means}) == 9
+
+
+def test_a_long_name_is_not_cut_off(tmp_path):
+    group = replace(group_runs(find_runs([make_run(tmp_path / "run")]))[0], label="a-name-" * 30)
+    picture = iio.imread(learning_curve(group, tmp_path / "curve.png"))
+    assert (picture[:, [0, -1]] == 255).all()
