@@ -33,7 +33,8 @@ COLUMNS = (
 )
 """Then the metric's mean and 99th percentile by policy, where success is drawn against one.
 
-``evaluation`` is ``training`` or ``final``; what was not measured is empty. Success is a share,
+``evaluation`` is ``training`` or ``final``; what was not measured is empty, and what needs a
+controller is for an arm that acts without one. Success is a share,
 ``rescues`` and ``regressions`` are numbers of episodes, of the latest policy and of what is handed
 over; wall time and versions are those of the whole run."""
 
@@ -52,8 +53,17 @@ def write_numbers(experiment: Experiment, finding: Finding, path: Path) -> Path:
             for run in outcome.runs:
                 of_run = {"arm": point.arm, "setting": setting, "key": point.key, "seed": run.seed}
                 for row in (*_training(run), *_final(experiment, outcome, run)):
-                    writer.writerow({**of_run, **row})
+                    writer.writerow({**of_run, **(_alone(row) if outcome.acts_alone else row)})
     return path
+
+
+def _alone(row: Row) -> Row:
+    """The row without what compares with a controller: with none it would be with doing nothing."""
+    return {
+        column: value
+        for column, value in row.items()
+        if column not in CHANGES and not column.startswith(CONTROLLER)
+    }
 
 
 def _training(run: Run) -> Iterator[Row]:

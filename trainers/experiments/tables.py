@@ -10,7 +10,7 @@ from ..evaluation.statistics import iqm, iqm_interval, mean_interval, success_in
 from ..metric_names import CONTROLLER
 from ..report.tables import number, with_interval
 from .looks import unit_of
-from .outcomes import SOLVED, Finding, Outcome
+from .outcomes import SOLVED, Counts, Finding, Outcome
 from .spec import Experiment
 
 Table = tuple[list[str], list[list[str]]]
@@ -94,14 +94,19 @@ def overall_iqm(outcomes: Sequence[Outcome], entry: str) -> str:
 
 
 def _success_row(outcome: Outcome, scenario: str) -> list[str]:
-    cells = [scenario, *_arm(outcome)]
-    for counts in (outcome.counts(scenario), outcome.counts(scenario, CONTROLLER)):
-        cells += [str(counts), f"{TRIALS * counts.rate:.1f}"]
+    cells = [scenario, *_arm(outcome), *_counted(outcome.counts(scenario))]
+    if outcome.acts_alone:
+        return [*cells, "none", "", "", ""]
+    cells += _counted(outcome.counts(scenario, CONTROLLER))
     if not outcome.paired(scenario):
         return [*cells, "not paired", ", ".join(map(_unpaired_test, outcome.summaries(scenario)))]
     changes = [outcome.final(entry, scenario).sum() for entry in ("rescues", "regressions")]
     cells.append(f"{changes[0]:.0f} / {changes[1]:.0f}")
     return [*cells, ", ".join(f"{p:.1g}" for p in outcome.final("mcnemar_p", scenario))]
+
+
+def _counted(counts: Counts) -> list[str]:
+    return [str(counts), f"{TRIALS * counts.rate:.1f}"]
 
 
 def _unpaired_test(summary: Mapping[str, float]) -> str:

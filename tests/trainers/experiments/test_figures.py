@@ -1,5 +1,6 @@
 """Figures and tables show every arm, and whose controller is whose."""
 
+import csv
 from dataclasses import replace
 
 import imageio.v3 as iio
@@ -12,6 +13,7 @@ from matplotlib.lines import Line2D
 from experiment_project import finding
 from rrl.trainers.experiments.figures import draw
 from rrl.trainers.experiments.front import front_rows
+from rrl.trainers.experiments.numbers import write_numbers
 from rrl.trainers.experiments.report import Shown, write_results
 from rrl.trainers.experiments.spec import Experiment, Scale, Settings
 from rrl.trainers.experiments.tables import final_rows, followed_rows, outcome_rows, steps_rows
@@ -253,6 +255,20 @@ def test_arms_of_a_front_may_have_scenarios_of_their_own(outcome, tmp_path):
     ]
     assert "<!-- dark -->" in labels("front", found, tmp_path, metric="force")
     assert "| dark | seeing |" in page(of("table"), found)
+
+
+def test_an_arm_that_acts_alone_is_compared_with_no_controller(outcome, tmp_path):
+    alone, helped = outcome("RL alone"), outcome("residual RL")
+    alone.point.config["controller"] = ZERO
+    _, rows = outcome_rows(of("table"), finding(alone, helped))
+    assert rows[0][4:] == ["none", "", "", ""]
+    assert rows[1][4].startswith("2 of 20")
+    path = write_numbers(of("table"), finding(alone, helped), tmp_path / "numbers.csv")
+    with path.open(newline="") as file:
+        numbers = [row for row in csv.DictReader(file) if row["evaluation"] == "final"]
+    assert [row["arm"] for row in numbers if row["rescues"]] == ["residual RL"] * 3
+    assert [row["arm"] for row in numbers if row["controller_return"]] == ["residual RL"] * 3
+    assert all(row["latest_success"] for row in numbers)
 
 
 def test_rows_of_a_sweep_name_the_setting(outcome):
