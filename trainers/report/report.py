@@ -100,9 +100,16 @@ def _results(page: Page, groups: Sequence[Group]) -> None:
         # All scenarios and groups at once: one header for quantities that not all of them have.
         merged = {f"{g.label}\n{s}": g.results[s] for s, g in found}
         header, rows = tables.quantity_rows(merged, declared)
-        named = [[*reversed(name.split("\n")), *cells] for name, *cells in rows]
+        arms = {group.label: group.config["arm"] for group in groups}
+        named = []
+        for name, *cells in rows:
+            label, scenario = name.split("\n")
+            named.append([scenario, label, *_of_arm(arms[label], cells)])
         page.table(["scenario", "run", *header[1:]], named)
-        page.text("Controller alone \u2192 residual, over the final episodes; mean of the runs.")
+        page.text(
+            f"Controller alone{tables.ARROW}residual, over the final episodes; mean of the runs. "
+            "Of an arm with one of the two, that one."
+        )
     for run in (run for group in groups for run in group.runs):
         if not run.results:
             page.text(f"`{run.path}` has no final evaluation yet.")
@@ -127,6 +134,12 @@ def _meaningful(group: Group, cells: Sequence[str], records: Sequence[Record]) -
         return [controller, "", *("" for _ in changes), ""]
     alone = group.config["arm"] == "rl"
     return ["" if alone else controller, residual, *("" if alone else c for c in changes), each]
+
+
+def _of_arm(arm: str, cells: Sequence[str]) -> list[str]:
+    """The cells ``controller -> residual`` with what the arm has of the two."""
+    part = {"controller": slice(0, 1), "rl": slice(-1, None)}.get(arm, slice(None))
+    return [tables.ARROW.join(cell.split(tables.ARROW)[part]) for cell in cells]
 
 
 def _curves(page: Page, groups: Sequence[Group]) -> None:

@@ -33,6 +33,8 @@ if TYPE_CHECKING:  # without torch a report of finished runs is quick
 COLUMNS = ("scenario", "controller", "residual", "gain", "rescued", "broken")
 EPISODE_COLUMNS = ("scenario", "episode", "outcome", "entry", "controller", "residual")
 HANDED_OVER = ", handed over"
+ARROW = " \u2192 "
+"""From the controller's mean of a quantity to the policy's."""
 OUTCOMES: Mapping[tuple[bool, ...], str] = {
     (False, True): "rescued",
     (True, False): "broken",
@@ -204,8 +206,8 @@ def _from_controller(summaries: Sequence[Mapping[str, Any]], key: str) -> str:
         for name in (CONTROLLER + key, key)
     ]
     if is_share(key):
-        return " \u2192 ".join(f"{100 * mean:.1f}" for mean in pair)
-    return " \u2192 ".join(f"{mean:.{decimals(*pair)}f}" for mean in pair)
+        return ARROW.join(f"{100 * mean:.1f}" for mean in pair)
+    return ARROW.join(f"{mean:.{decimals(*pair)}f}" for mean in pair)
 
 
 def episode_rows(results: Results) -> list[list[Any]]:

@@ -265,3 +265,11 @@ def test_a_long_name_is_not_cut_off(tmp_path):
     group = replace(group_runs(find_runs([make_run(tmp_path / "run")]))[0], label="a-name-" * 30)
     picture = iio.imread(learning_curve(group, tmp_path / "curve.png"))
     assert (picture[:, [0, -1]] == 255).all()
+
+
+@pytest.mark.parametrize(
+    ("arm", "shown"), [("residual", "20.00 → 30.00"), ("rl", "30.00"), ("controller", "20.00")]
+)
+def test_quantities_are_those_of_what_the_arm_has(tmp_path, arm, shown):
+    runs = find_runs([make_run(tmp_path / "run", arm=arm)])
+    assert f"<td>{shown}</td>" in write_report(runs, tmp_path / "report.html").read_text()
