@@ -28,10 +28,19 @@ def keeps_positions(config: Mapping[str, Any]) -> bool:
 
 
 def spatial_variance(run: Run) -> NDArray[np.float64]:
-    """Return the variance of the positions in all stored transitions, by axis, [cm^2]."""
+    """Return the variance of the positions in all stored transitions, by axis, [cm^2].
+
+    Raises:
+        FileNotFoundError: If the run has no transitions any more.
+    """
     if (run.path / POSITIONS).is_file():
         return np.array(json.loads((run.path / POSITIONS).read_text(encoding="utf-8")))
     log = TransitionLog(run.path / FOLDER)
+    if not log.count:
+        raise FileNotFoundError(
+            f"{run.path}: expected its transitions, of which the variance of its positions is "
+            "made, got none; remove this folder, and the run is made again"
+        )
     transitions, _ = log.read(0, log.count)
     log.close()
     positions: NDArray[np.float64] = transitions[POSITION].double().numpy()  # (N, axes), [m]

@@ -1,6 +1,7 @@
 """The variance of visited positions, read back from a log of transitions with known positions."""
 
 import numpy as np
+import pytest
 import torch
 import yaml
 from tensordict import TensorDict
@@ -23,3 +24,8 @@ def test_variance_is_of_meters_by_axis(tmp_path):
     positions = np.random.default_rng(0).normal([0.6, 0.0, 0.1], [0.01, 0.02, 0.03], size=(500, 3))
     run = make_run(tmp_path, {"end_effector_position": {}}, torch.tensor(positions))
     np.testing.assert_allclose(spatial_variance(run), 1e4 * positions.var(axis=0), rtol=1e-6)
+
+
+def test_a_run_without_its_transitions_is_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match=f"{tmp_path}: expected its transitions"):
+        spatial_variance(Run(tmp_path, "run"))
