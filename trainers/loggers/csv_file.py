@@ -75,8 +75,10 @@ def _rows_of(path: Path) -> Iterator[Row]:
 
 def whole_rows(text: str) -> Iterator[Row]:
     """Yield the rows that can be read: not the header, nor one that a crash has torn."""
-    for line in text[: text.rfind("\n") + 1].splitlines():
+    for line in text.split("\n")[:-1]:
         env_steps, _, rest = line.partition(",")
         metric, _, value = rest.rpartition(",")
+        if metric.startswith('"'):
+            metric = metric[1:-1].replace('""', '"')
         with contextlib.suppress(ValueError):
-            yield int(env_steps), metric.strip('"'), float(value)
+            yield int(env_steps), metric, float(value)

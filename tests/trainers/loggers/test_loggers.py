@@ -43,6 +43,16 @@ def test_a_resumed_file_goes_on_after_its_checkpoint(tmp_path):
     assert read_metrics(tmp_path)["a"] == [(1, 1.0)]
 
 
+@pytest.mark.parametrize("name", ["train/a,b", 'train/say "x"', "train/ü\u2028x"])
+def test_a_metric_keeps_its_name(tmp_path, name):
+    logger = CSVLogger()
+    for step in (0, 5):  # the second time as a run that is resumed
+        logger.start(tmp_path, {}, step)
+        logger.log({name: 1.0}, step + 1)
+        logger.finish()
+    assert read_metrics(tmp_path) == {name: [(1, 1.0), (6, 1.0)]}
+
+
 def test_a_final_evaluation_that_is_made_again_is_not_there_twice(tmp_path):
     logged(CSVLogger(), tmp_path, [(10, {"a": 1.0, "final/b/success": 0.5})])
     logged(CSVLogger(), tmp_path, [(10, {"final/b/success": 0.75})], env_steps=10)
