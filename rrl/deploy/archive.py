@@ -8,14 +8,19 @@ from typing import Any
 
 import torch
 
-from rrl.deploy.contract import ARCHIVE, read_contract
+from rrl.deploy.contract import ARCHIVE, graph_file, read_contract
 from rrl.deploy.policy import Arrays, Graph
 
 
 def torch_graph(folder: str | Path) -> Graph:
-    """Load ``policy.pt2``, for ``Policy(folder, rate, graph=torch_graph(folder))``."""
+    """Load ``policy.pt2``, for ``Policy(folder, rate, graph=torch_graph(folder))``.
+
+    Raises:
+        FileNotFoundError: If the folder holds no exported policy, or not this graph.
+        ValueError: If a file was changed, or is of another format.
+    """
     contract = read_contract(folder)
-    module = torch.export.load(Path(folder) / ARCHIVE).module()
+    module = torch.export.load(graph_file(folder, ARCHIVE)).module()
     return module_graph(module, contract.inputs, contract.outputs)
 
 

@@ -100,7 +100,7 @@ def read_contract(folder: str | Path) -> Contract:
     """Read a folder's contract and compare every file with its checksum.
 
     Raises:
-        FileNotFoundError: If there is no contract, or no graph for onnxruntime.
+        FileNotFoundError: If there is no contract.
         ValueError: If a file was changed, or is of another format.
     """
     path = Path(folder) / CONTRACT
@@ -112,8 +112,6 @@ def read_contract(folder: str | Path) -> Contract:
     content = _content(path)
     for name, expected in content["files"].items():
         file = path.with_name(name)
-        if name == MODEL and not file.is_file():
-            raise FileNotFoundError(f"{file}: expected the graph that belongs to {path}, got none")
         if file.is_file() and fingerprint(file) != expected:
             raise ValueError(
                 f"{file}: expected the file that was exported, got a changed one (SHA-256 "
@@ -128,6 +126,21 @@ def read_contract(folder: str | Path) -> Contract:
         ends_episode=content["ends_episode"],
         content=content,
     )
+
+
+def graph_file(folder: str | Path, name: str) -> Path:
+    """Return the path of one of the graphs.
+
+    Raises:
+        FileNotFoundError: If it is not there.
+    """
+    path = Path(folder) / name
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path}: expected the graph that belongs to {CONTRACT}, got none; copy the whole "
+            "folder that was exported"
+        )
+    return path
 
 
 def _content(path: Path) -> dict[str, Any]:

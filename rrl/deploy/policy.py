@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rrl.deploy.contract import COMMAND, MODEL, Contract, Entry, read_contract
+from rrl.deploy.contract import COMMAND, MODEL, Contract, Entry, graph_file, read_contract
 
 Arrays = Mapping[str, NDArray[Any]]
 Graph = Callable[[Arrays], Arrays]
@@ -37,7 +37,7 @@ class Policy:
             flag for each safety limit, ``safety.NAME``.
 
     Raises:
-        FileNotFoundError: If the folder holds no exported policy.
+        FileNotFoundError: If the folder holds no exported policy, or not its graph.
         ValueError: If a file was changed, or the rate is not the one of the training.
     """
 
@@ -49,7 +49,7 @@ class Policy:
     ) -> None:
         self.contract = read_contract(folder)
         _check_rate(self.contract.rate, rate)
-        self._graph = graph or onnx_graph(Path(folder) / MODEL)
+        self._graph = graph or onnx_graph(graph_file(folder, MODEL))
         self._names = [entry.name for entry in self.contract.entries]
         self.reset()
 

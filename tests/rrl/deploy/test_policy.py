@@ -235,13 +235,17 @@ def test_a_torn_foreign_or_newer_contract_is_refused(folder, tmp_path):
         Policy(path.parent, RATE)
 
 
-def test_onnxruntime_needs_no_archive_but_a_graph(folder, tmp_path):
+@pytest.mark.parametrize(("needs", "other"), [(MODEL, ARCHIVE), (ARCHIVE, MODEL)])
+def test_a_robot_needs_the_graph_that_it_runs_and_no_other(folder, tmp_path, needs, other):
+    def policy():
+        return Policy(copy, RATE, graph=torch_graph(copy) if needs == ARCHIVE else None)
+
     copy = Path(shutil.copytree(folder, tmp_path / "copy"))
-    (copy / ARCHIVE).unlink()
-    Policy(copy, RATE).act(OBSERVATION)
-    (copy / MODEL).unlink()
-    with pytest.raises(FileNotFoundError, match=r"policy\.onnx: expected the graph"):
-        Policy(copy, RATE)
+    (copy / other).unlink()
+    policy().act(OBSERVATION)
+    (copy / needs).unlink()
+    with pytest.raises(FileNotFoundError, match=rf"{needs}: expected the graph that belongs"):
+        policy()
 
 
 def test_the_chain_deals_with_nan_as_it_was_configured(policy):
