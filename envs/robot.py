@@ -17,7 +17,7 @@ from torchrl.envs import EnvBase
 
 from rrl.keys import ACTION, REWARD
 from rrl.pace import Pace
-from rrl.robot import Description, EntrySpec, Observation, Robot, RobotFault
+from rrl.robot import Description, EntrySpec, Observation, Robot, RobotFault, in_type
 from rrl.signals import held_back
 
 log = logging.getLogger(__name__)
@@ -162,27 +162,21 @@ class RobotEnv(EnvBase):
             if value is None or np.shape(value) != shape:
                 got = "none" if value is None else f"the shape {np.shape(value)}"
                 raise ValueError(f"observation: expected {name!r} of the shape {shape}, got {got}")
-            entries[name] = torch.from_numpy(_copied(name, np.asarray(value), dtype))
+            entries[name] = torch.from_numpy(_measured(name, np.asarray(value), dtype))
         return entries
 
 
-def _copied(name: str, given: NDArray[Any], dtype: str) -> NDArray[Any]:
+def _measured(name: str, given: NDArray[Any], dtype: str) -> NDArray[Any]:
     """Return a measurement in its described type; a driver may write into its own again.
 
     Raises:
         RobotFault: If a number is not finite.
-        ValueError: If a whole number or a flag is something else than what was measured.
+        ValueError: If it does not fit the type.
     """
-    with np.errstate(all="ignore"):  # what does not fit is found below
-        array = np.array(given, dtype=dtype)
-    numbers = array if array.dtype.kind == "f" else given
-    if numbers.dtype.kind == "f" and not np.isfinite(numbers).all():
+    lost = given.dtype.kind == "f" and not np.isfinite(given).all()
+    array = given if lost else in_type(name, given, dtype)
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
         raise RobotFault(f"{name}: expected finite numbers, got {given.tolist()}")
-    if array.dtype.kind != "f" and array.dtype != given.dtype and (array != given).any():
-        raise ValueError(
-            f"observation: expected {name!r} in numbers that {dtype} holds, got {given.tolist()}; "
-            "describe another type"
-        )
     return array
 
 

@@ -120,6 +120,21 @@ class Robot(ABC):
         """Give back what the driver holds."""
 
 
+def in_type(name: str, given: NDArray[Any], dtype: str) -> NDArray[Any]:
+    """Return a measurement in the type of its entry, a copy; infinite where a float is too large.
+
+    Raises:
+        ValueError: If it holds no real numbers, or a whole number or a flag would be another one.
+    """
+    if given.dtype.kind not in "biuf":
+        raise ValueError(f"{name}: expected {dtype}, got {given.dtype}")
+    with np.errstate(all="ignore"):  # what does not fit is found below
+        array = np.array(given, dtype=dtype, order="C")
+    if array.dtype.kind != "f" and array.dtype != given.dtype and (array != given).any():
+        raise ValueError(f"{name}: expected numbers that {dtype} holds, got {given.tolist()}")
+    return array
+
+
 @contextmanager
 def stopping(robot: Robot) -> Iterator[None]:
     """Tell a robot to stop when the block ends, however it ends.

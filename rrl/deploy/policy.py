@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rrl.deploy.contract import COMMAND, MODEL, Contract, Entry, graph_file, read_contract
+from rrl.robot import in_type
 
 Arrays = Mapping[str, NDArray[Any]]
 Graph = Callable[[Arrays], Arrays]
@@ -125,14 +126,7 @@ def _array(entry: Entry, value: ArrayLike) -> NDArray[Any]:
         array = array.reshape(1)
     if array.shape != entry.shape:
         raise ValueError(f"{entry.name}: expected the shape {entry.shape}, got {array.shape}")
-    if not np.can_cast(array.dtype, entry.dtype, "same_kind"):
-        raise ValueError(f"{entry.name}: expected {entry.dtype}, got {array.dtype}")
-    with np.errstate(over="ignore"):  # to infinity, which is found below
-        cast = np.asarray(array, dtype=entry.dtype, order="C")
-    if np.issubdtype(cast.dtype, np.integer) and (cast != array).any():
-        raise ValueError(
-            f"{entry.name}: expected numbers that {entry.dtype} holds, got {array.tolist()}"
-        )
+    cast = in_type(entry.name, array, entry.dtype)
     if not entry.guarded and not np.isfinite(cast).all():
         raise ValueError(f"{entry.name}: expected finite numbers, got {array.tolist()}")
     return cast

@@ -196,6 +196,26 @@ def test_integers_that_the_entry_cannot_hold_are_refused(folder, tmp_path):
     assert [inputs["entry/goal"].tolist() for inputs in shown] == [[255, 2]]
 
 
+@pytest.mark.parametrize(
+    ("dtype", "goal", "shown"),
+    [
+        ("bool", [1, 0], [True, False]),
+        ("int16", [3.0, -4.0], [3, -4]),
+        ("bool", [0.5, 0], None),
+        ("int16", [np.nan, 0.0], None),
+        ("float32", ["0", "1"], None),
+    ],
+)
+def test_a_type_is_as_strict_as_in_training(folder, tmp_path, dtype, goal, shown):
+    policy, seen = with_another_goal(folder, tmp_path / "copy", dtype=dtype)
+    if shown is None:
+        with pytest.raises(ValueError, match=f"goal: expected (numbers that )?{dtype}"):
+            policy.act({**OBSERVATION, "goal": goal})
+    else:
+        policy.act({**OBSERVATION, "goal": goal})
+        assert seen[0]["entry/goal"].tolist() == shown
+
+
 @pytest.mark.parametrize("name", ["arm.goal", "arm/goal"])
 @pytest.mark.parametrize("goal", [0.5, np.float64(0.5), np.array(0.5), [0.5]])
 def test_what_a_robot_observes_is_taken_as_it_is(folder, tmp_path, name, goal):
