@@ -219,14 +219,17 @@ class InsertionEnv(EnvBase):
         """Restore what :meth:`get_extra_state` returned.
 
         Raises:
-            ValueError: If the state is of another number of environments or another variant.
+            ValueError: If the state is of another number of environments, another variant or other
+                reward terms.
         """
         simulation = self._simulation
-        if tuple(state["physics"].shape) != simulation.state.shape:
-            raise ValueError(
-                f"state: expected physics of shape {simulation.state.shape} (environments, state), "
-                f"got {tuple(state['physics'].shape)}; use the same variant and num_envs"
-            )
+        for name, value in self._arrays().items():
+            shape = tuple(state[name].shape) if name in state else None
+            if shape != value.shape:
+                raise ValueError(
+                    f"state: expected {name} of shape {value.shape}, got {shape}; use the same "
+                    "variant, num_envs and reward_weights"
+                )
         for name, value in self._arrays().items():
             value[:] = state[name].numpy()
         for model, yaw, place in zip(

@@ -239,10 +239,22 @@ def test_state_dict_resumes_in_the_middle_of_an_episode(variant: str) -> None:
     assert_same(act(env, DOWN), act(other, DOWN))
 
 
-def test_state_of_another_size_is_refused() -> None:
-    state = InsertionEnv("sim", num_envs=2).state_dict()
-    with pytest.raises(ValueError, match="same variant and num_envs"):
-        InsertionEnv("sim", num_envs=3).load_state_dict(state)
+@pytest.mark.parametrize(
+    ("name", "other"),
+    [
+        ("physics", {"num_envs": 3}),
+        ("physics", {"variant": "real"}),
+        ("outputs/reward_terms/yaw", {"reward_weights": {"yaw": 0.1}}),
+    ],
+)
+def test_state_of_another_environment_is_refused_before_anything_is_restored(name, other) -> None:
+    state = InsertionEnv("sim", num_envs=2, seed=1).state_dict()
+    env = InsertionEnv(**{"variant": "sim", "num_envs": 2, "seed": 2, **other})
+    env.reset()
+    before = env.physics_state()
+    with pytest.raises(ValueError, match=f"expected {name} of shape .* same variant, num_envs"):
+        env.load_state_dict(state)
+    np.testing.assert_array_equal(env.physics_state(), before)
 
 
 def make_env() -> InsertionEnv:
