@@ -14,8 +14,14 @@ from matplotlib.figure import Figure
 
 from ..evaluation.statistics import mean_interval
 from ..metric_names import ACCEPTED, CONTROLLER
-from ..report.curves import ALONE, alike, controllers, view
-from ..report.learning_curve import ACCEPTED_COLOR, CONTROLLER_COLOR, RESIDUAL_COLOR, draw_mean
+from ..report.curves import ALONE, alike, controllers
+from ..report.learning_curve import (
+    ACCEPTED_COLOR,
+    CONTROLLER_COLOR,
+    RESIDUAL_COLOR,
+    draw_mean,
+    look_at_lines,
+)
 from . import changes, front
 from .looks import HATCHES, LINES, PANELS, color_of, marked, of_round, unit_of
 from .outcomes import Finding, Outcome
@@ -52,6 +58,7 @@ def _curves(experiment: Experiment, finding: Finding) -> Figure:
                 look = color_of(i), outcome.point.label, of_round(i, LINES)
                 _band(axis, outcome, entry, *look)
         _controllers(axis, finding, entry)
+        look_at_lines(axis, is_rate=entry == "success")
         axis.set_xlabel("environment steps of one seed")
     return figure
 
@@ -157,8 +164,7 @@ def _tasks(experiment: Experiment, finding: Finding) -> Figure:
         axis.set_title(textwrap.fill(outcome.point.label, 38), fontsize=9)
         axis.set_ylabel(PANELS[entry], fontsize=8)
         axis.tick_params(labelsize=8)
-        lines = [np.asarray(line.get_ydata(), dtype=float) for line in axis.get_lines()]
-        axis.set_ylim(*((-3, 103) if entry == "success" else view(lines, 0.25)))
+        look_at_lines(axis, is_rate=entry == "success")
     for axis in axes[count:]:
         axis.axis("off")
     for axis in axes[count - columns : count]:

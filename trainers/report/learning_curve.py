@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from .curves import ALONE, Curve, Floats
+from .curves import ALONE, Curve, Floats, view
 from .panels import LEARNING, Panel
 from .runs import Group
 
@@ -64,6 +65,12 @@ def draw_mean(
     axis.plot(curve.steps, scale * curve.mean, line, color=color, linewidth=2, label=label)
 
 
+def look_at_lines(axis: Axes, *, is_rate: bool) -> None:
+    """Show rates from none to all, and of others all lines: not all of a wide band of few runs."""
+    lines = [np.asarray(line.get_ydata(), dtype=float) for line in axis.get_lines()]
+    axis.set_ylim(*((-3, 103) if is_rate else view(lines, 0.25)))
+
+
 def _draw(axis: Axes, group: Group, panel: Panel) -> None:
     found = group.curve(panel.metric)
     assert found is not None
@@ -81,7 +88,6 @@ def _draw(axis: Axes, group: Group, panel: Panel) -> None:
         line.set(color=ACCEPTED_COLOR, label="handed over", drawstyle="steps-post")
     axis.set_ylabel(panel.title)
     axis.set_xlabel("environment steps")
-    if panel.counted:
-        axis.set_ylim(-3, 103)
+    look_at_lines(axis, is_rate=panel.counted)
     axis.grid(alpha=0.25)
     axis.spines[["top", "right"]].set_visible(False)

@@ -168,6 +168,18 @@ def test_arms_look_different_though_there_are_more_than_colors(
     assert len(looks) == 9
 
 
+@pytest.mark.parametrize("figure", ["curves", "tasks"])
+def test_a_wide_band_of_few_runs_does_not_flatten_the_lines(outcome, figure, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda self, *_, **__: drawn.append(self))
+    made = without_success(outcome())
+    made.runs[0].metrics["eval/misaligned/return"] = [(0, -90.0), (500, 0.0)]
+    draw(of(figure), finding(made), tmp_path)
+    low, high = drawn[0].axes[0].get_ylim()
+    assert -50 < low < -30
+    assert 0 < high < 20
+
+
 def look(handle):
     """What tells a line, a mark or a bar of a legend from others."""
     part = handle[0] if isinstance(handle, Container) else handle
