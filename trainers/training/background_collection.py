@@ -29,7 +29,7 @@ from ..generators import Generators
 from ..requests import Request, Requests, stop_of
 from ..settings import TrainerSettings
 from ..storage.plain_state import from_plain, to_plain
-from .collection import Collection, InTurn, Metrics
+from .collection import Apart, Collection, InTurn, Metrics
 from .interface import Exploration
 from .interruption import SIGNALS
 from .policy_vector import assign, flatten
@@ -40,7 +40,7 @@ CLOSE_SECONDS = 10.0
 """How long the process gets to close its environment before it is ended."""
 
 
-class InBackground(Collection):
+class InBackground(Apart):
     """Collects the next round while this round's updates run, in a process with the environment.
 
     Round ``k`` acts with the policy that the updates of round ``k - 2`` left (the first two with
@@ -81,9 +81,8 @@ class InBackground(Collection):
             self.close()
             raise
 
-    def tell(self, request: Request) -> None:
-        """Pass on what a person asks for, also to the process, which may be collecting."""
-        super().tell(request)
+    def pass_on(self, request: Request) -> None:
+        """Tell the process, which may be collecting."""
         with contextlib.suppress(OSError):  # it has died, which the next call says
             self._told.send(request)
 

@@ -122,6 +122,33 @@ class Collection(ABC):
         """Close the environment."""
 
 
+class Apart(Collection):
+    """Collects in another process, while evaluations play in this one."""
+
+    _evaluates = False
+
+    def tell(self, request: Request) -> None:
+        """Pass on what a person asks for; a judgement is for training, or for an evaluation."""
+        judges = request in (Request.SUCCEEDED, Request.FAILED)
+        if self._evaluates or not judges:
+            self.requests.take(request)
+        if not (self._evaluates and judges):
+            self.pass_on(request)
+
+    @abstractmethod
+    def pass_on(self, request: Request) -> None:
+        """Tell the other process."""
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Have judgements be for what is played here while the body runs."""
+        self._evaluates = True
+        try:
+            yield
+        finally:
+            self._evaluates = False
+
+
 class InTurn(Collection):
     """Collects in the calling process, with the policy as the last update left it.
 

@@ -23,7 +23,7 @@ from ...settings import TrainerSettings
 from ...storage.replay_store import as_stored
 from ...storage.transition_log import FOLDER as TRANSITIONS
 from ...storage.transition_log import TransitionLog
-from ..collection import Collection, Metrics
+from ..collection import Apart, Metrics
 from ..collection_metrics import EpisodeReturns, collection_metrics
 from ..interface import Exploration
 from ..policy_vector import flatten
@@ -34,7 +34,7 @@ from .records import TIMING, cut_episodes, read_usable, seconds_of, timing_metri
 log = logging.getLogger(__name__)
 
 
-class RealTime(Collection):
+class RealTime(Apart):
     """Takes what an acting process collects, which steps the environment whatever the learner does.
 
     The process is one of its own. It outlives a learner that is killed, goes on with the last
@@ -66,7 +66,7 @@ class RealTime(Collection):
         self._hand_over.folder.mkdir(parents=True, exist_ok=True)
         self._recipe = settings, environment, exploration
         self._process = ActingProcess(self._hand_over)
-        self._owns = self._stopped = self._evaluates = False
+        self._owns = self._stopped = False
         self._seed = first_seed(Stream.TRAINING, settings.seed)
         self._returns = EpisodeReturns(1)
         self._log = TransitionLog(self._hand_over.folder / TRANSITIONS)
@@ -82,13 +82,9 @@ class RealTime(Collection):
             raise
         self._hand_over.said()  # to whom was there before
 
-    def tell(self, request: Request) -> None:
-        """Pass on what a person asks for; a judgement goes to whoever has the robot now."""
-        judges = request in (Request.SUCCEEDED, Request.FAILED)
-        if self._evaluates or not judges:
-            super().tell(request)
-        if not (self._evaluates and judges):
-            self._hand_over.tell(request)
+    def pass_on(self, request: Request) -> None:
+        """Tell the process."""
+        self._hand_over.tell(request)
 
     def release(self) -> None:
         """End a pause here; the process, which is to end as well, leaves the robot where it is."""
@@ -156,12 +152,8 @@ class RealTime(Collection):
     def paused(self) -> Iterator[None]:
         """Have the robot here while the body runs, once the episode under way has ended."""
         priority = self.settings.realtime.priority if self._is_robot else 0
-        with self._hand_over.having_robot(), prioritized(priority):
-            self._evaluates = True
-            try:
-                yield
-            finally:
-                self._evaluates = False
+        with self._hand_over.having_robot(), prioritized(priority), super().paused():
+            yield
 
     def forget(self, first: int) -> None:
         """Remove the acting process's records before ``first``, file by file."""
