@@ -15,7 +15,7 @@ from torchrl.objectives import LossModule, SoftUpdate
 from torchrl.objectives.utils import ValueEstimators
 
 from rrl.algorithms.calibration import derived
-from rrl.algorithms.networks import ActingNetwork, FirstOnly, learned, once_each, output_layer
+from rrl.algorithms.networks import ActingNetwork, FirstOnly, Movable, learned, output_layer
 from rrl.algorithms.precision import single_precision
 from rrl.algorithms.readings import Readings, with_shapes
 from rrl.algorithms.reward_scale import RewardScale
@@ -30,7 +30,7 @@ from rrl.keys import ACTION, REWARD
 from rrl.symmetry import Symmetry
 
 
-class Agent(nn.Module, ABC):
+class Agent(Movable, ABC):
     """A learner: actor, critics, a TorchRL loss, target networks, optimizers.
 
     A subclass makes its networks (:meth:`make_actor`, :meth:`make_policy`, :meth:`make_critics`),
@@ -279,12 +279,9 @@ class Agent(nn.Module, ABC):
         acting = batch.select(*self.read_keys)
         with (
             set_exploration_type(ExplorationType.DETERMINISTIC),
-            loss.actor_network_params.to_module(loss.actor_network),
+            loss.actor_network_params.to_module(loss.actor_network, preserve_module_state=False),
         ):
             return loss.actor_network(acting)[ACTION]
-
-    def _apply(self, fn: Any, recurse: bool = True) -> Agent:
-        return super()._apply(once_each(fn), recurse)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return remade, ingredients(self)  # for copies and pickles

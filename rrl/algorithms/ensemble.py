@@ -161,7 +161,9 @@ class EnsembleTD3Loss(_Ensemble, TD3Loss):
         noise = torch.randn_like(tensordict.get(self.tensor_keys.action)) * self.policy_noise
         with torch.no_grad():
             following = step_mdp(tensordict).select(*self.actor_network.in_keys, strict=False)
-            with self.target_actor_network_params.to_module(self.actor_network):
+            # Otherwise the parameters are left with tensors that a move to a device misses.
+            params = self.target_actor_network_params
+            with params.to_module(self.actor_network, preserve_module_state=False):
                 following = self.actor_network(following)
             action = following.get(self.tensor_keys.action)
             action = action + noise.clamp(-self.noise_clip, self.noise_clip)
@@ -172,7 +174,8 @@ class EnsembleTD3Loss(_Ensemble, TD3Loss):
     def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, Metrics]:
         """Return minus the value that the policy climbs."""
         acting = tensordict.select(*self.actor_network.in_keys, strict=False)
-        with self.actor_network_params.to_module(self.actor_network):
+        params = self.actor_network_params
+        with params.to_module(self.actor_network, preserve_module_state=False):
             acting = self.actor_network(acting)
         value, values = self._policy_value(acting)
         return self._reduced(-value, tensordict), {"state_action_value_actor": values.detach()}
@@ -225,6 +228,6 @@ class EnsembleSACLoss(_Ensemble, SACLoss):
         """Return an action of the policy and its log-probability."""
         with (
             set_exploration_type(ExplorationType.RANDOM),
-            self.actor_network_params.to_module(self.actor_network),
+            self.actor_network_params.to_module(self.actor_network, preserve_module_state=False),
         ):
             return compute_rsample_log_prob(self.actor_network.get_dist(tensordict))

@@ -9,6 +9,7 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictParams
 from torch import Tensor, nn
 
 from rrl.checks import check_sizes
@@ -113,6 +114,18 @@ def once_each(convert: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Tensor]
         return converted[memory][1]
 
     return once
+
+
+class Movable(nn.Module):
+    """A module with losses that can be moved to another device, also when it has learned."""
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Any:
+        super()._apply(once_each(fn), recurse)
+        for module in self.modules():
+            if isinstance(module, TensorDictParams):
+                # Losses read detached tensors, which are kept and would stay what they were.
+                module._erase_cache()
+        return self
 
 
 class FirstOnly(nn.Module):

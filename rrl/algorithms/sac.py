@@ -136,7 +136,7 @@ class SAC(Agent):
         loss: Any = self.loss
         with (
             set_exploration_type(ExplorationType.RANDOM),
-            loss.actor_network_params.to_module(loss.actor_network),
+            loss.actor_network_params.to_module(loss.actor_network, preserve_module_state=False),
         ):
             acting = loss.actor_network.get_dist(following.select(*self.read_keys))
             _, log_prob = compute_rsample_log_prob(acting)

@@ -110,6 +110,22 @@ def test_a_copy_learns_on_as_the_original_does(algorithm, arguments, copied):
         assert torch.equal(value, parameters(other)[name]), name
 
 
+@pytest.mark.parametrize(
+    ("algorithm", "arguments"),
+    [(TD3, {}), (SAC, {}), (DDPG, {}), (TD3, ENSEMBLE), (SAC, ENSEMBLE)],
+)
+def test_a_learner_that_was_moved_and_moved_back_learns_on_as_before(algorithm, arguments):
+    """As from a GPU to the CPU, to be saved, and back."""
+    stayed, moved = (make_agent(algorithm, last_layer_bound=0.1, **arguments) for _ in range(2))
+    for agent in (stayed, moved):
+        learn(agent, 4)
+    moved.double().float()
+    for agent in (stayed, moved):
+        learn(agent, 8, seed=1)
+    for name, value in parameters(stayed).items():
+        assert torch.equal(value, parameters(moved)[name]), name
+
+
 @each_algorithm
 def test_an_empty_batch_has_an_empty_answer(algorithm):
     td = TensorDict({"observation": torch.zeros(0, OBSERVATION)}, [0])
