@@ -62,6 +62,8 @@ def check_factory(fields: Mapping[str, Any]) -> None:
     for name in ("inputs", "critic_inputs"):
         if isinstance(given := fields[name], str):
             raise TypeError(f"{name}: expected names in a list, got {given!r}; write [{given!r}]")
+        if isinstance(given, (set, frozenset)):
+            raise TypeError(f"{name}: expected names in their order, in a list, got {given!r}")
         _check_values(name, given, Input)
     _check_values("metrics", fields["metrics"], Metric)
     for name in ("safety", "disturbances", "sensing"):

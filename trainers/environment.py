@@ -227,11 +227,16 @@ class EnvironmentFactory:
         if self.batching == "native":
             return check_base(make_native(self.base, num_envs))
         if num_envs == 1:
-            return check_base(self.base())
+            return _one(self.base)
+        make = partial(_one, self.base)
         if errors is None:
-            return SerialEnv(num_envs, self.base)
+            return SerialEnv(num_envs, make)
         keep_sockets_short()
-        return ParallelEnv(num_envs, [errors.reporting(self.base, i) for i in range(num_envs)])
+        return ParallelEnv(num_envs, [errors.reporting(make, i) for i in range(num_envs)])
+
+
+def _one(base: Callable[..., EnvBase]) -> EnvBase:
+    return check_base(base())
 
 
 def _joined(maps: Sequence[Sequence[int]]) -> list[int]:

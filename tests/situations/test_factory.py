@@ -20,6 +20,10 @@ from situation_envs import Machine
     ("changes", "message"),
     [
         ({"safety": StepLimit}, "safety: expected a list of what makes transforms, got"),
+        (
+            {"inputs": {"position"}},
+            "inputs: expected names in their order, in a list, got {'position'}",
+        ),
         ({"inputs": {"position": {}}}, r"inputs: expected 'position' to be a Input\(...\), got {}"),
         ({"metrics": {"force": {"unit": "N"}}}, "metrics: expected 'force' to be a Metric"),
         ({"batching": "natve"}, "batching: expected one of native, serial, parallel, got 'natve'"),
@@ -49,9 +53,10 @@ def of_gymnasium():
         (of_gymnasium, "base: expected .*, got a TimeLimit; rrl.envs.gymnasium_env makes one"),
     ],
 )
-def test_a_base_that_is_no_environment_is_refused(factory, base, message):
+@pytest.mark.parametrize("slots", [1, 2])
+def test_a_base_that_is_no_environment_is_refused(factory, base, message, slots):
     with pytest.raises(TypeError, match=message):
-        factory(base).make()
+        factory(base).make(slots)
 
 
 class Rewards(Machine):
@@ -103,6 +108,19 @@ def test_gymnasium_s_environment_fits(factory):
 def test_a_folder_in_the_learner_s_place_is_named(factory, tmp_path):
     with pytest.raises(TypeError, match="agent: expected what makes a learner, or None, got 'out'"):
         Trainer(None, factory(Machine), "out", run_dir=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"seed": 1}, r"settings: expected TrainerSettings\(...\) or None, got {'seed': 1}"),
+        (None, ""),
+    ],
+)
+def test_something_else_than_settings_and_a_factory_is_named(tmp_path, settings, message):
+    expected = message or r"environment: expected EnvironmentFactory\(...\), got <class"
+    with pytest.raises(TypeError, match=expected):
+        Trainer(settings, Machine, run_dir=tmp_path)
 
 
 @pytest.mark.parametrize(("batching", "batch_size"), [("serial", [3]), ("native", [3])])

@@ -89,6 +89,20 @@ def default_agent(environment: EnvironmentFactory) -> Callable[..., Agent]:
     return agent_factory(default_config()["algorithm"], environment)
 
 
+def settings_of(settings: Any, environment: Any) -> TrainerSettings:
+    """Return a trainer's settings, of None the default ones.
+
+    Raises:
+        TypeError: If they are something else, or there is no environment's factory beside them.
+    """
+    settings = TrainerSettings() if settings is None else settings
+    if not isinstance(settings, TrainerSettings):
+        raise TypeError(f"settings: expected TrainerSettings(...) or None, got {settings!r}")
+    if not isinstance(environment, EnvironmentFactory):
+        raise TypeError(f"environment: expected EnvironmentFactory(...), got {environment!r}")
+    return settings
+
+
 def in_python(
     settings: TrainerSettings, environment: EnvironmentFactory, agent: Any, exploration: Any
 ) -> dict[str, Any]:

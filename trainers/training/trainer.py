@@ -32,7 +32,7 @@ from .clock import Clock, Counters
 from .collecting import make_collection
 from .collection import Metrics
 from .constraints import Constraints
-from .factories import agent_or_default, default_exploration, in_python
+from .factories import agent_or_default, default_exploration, in_python, settings_of
 from .interface import Exploration
 from .interruption import Interrupted, Interruption
 from .keys import listening
@@ -75,7 +75,7 @@ class Trainer(AbstractContextManager["Trainer"]):
         config: Mapping[str, Any] | None = None,
         progress: Progress | None = None,
     ) -> None:
-        given, self.run_dir = settings or TrainerSettings(), Path(run_dir)
+        given, self.run_dir = settings_of(settings, environment), Path(run_dir)
         require_unclaimed(self.run_dir)  # before anything touches a robot that is at work
         lengths = saved_note(self.run_dir).get("lengths")
         self.settings = settings = given.derived(environment.max_episode_steps, lengths)
