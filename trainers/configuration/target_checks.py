@@ -39,10 +39,15 @@ def check_targets(config: Config, built: dict[str, Any]) -> Problems:
         nodes += [(f"{group}.{name}", n, {}) for name, n in (members or {}).items() if n]
     for path, node, given in nodes:
         yield from _check_build(path, node, given, built)
-    scenarios = {f"env.scenarios.{name}": node for name, node in env["scenarios"].items()}
     slots = {"num_envs": 1} if env["batching"] == "native" else {}
-    for path, overrides in {"env.base": {}, **scenarios}.items():
-        yield from _check_environment(path, {**env["base"], **(overrides or {})}, slots)
+    found = list(_check_environment("env.base", env["base"], slots))
+    yield from found
+    said = {problem.removeprefix("env.base") for problem in found}
+    for name, overrides in env["scenarios"].items():
+        path = f"env.scenarios.{name}"
+        for problem in _check_environment(path, {**env["base"], **(overrides or {})}, slots):
+            if problem.removeprefix(path) not in said:  # its own, not the base's again
+                yield problem
     if env.get("renderer"):
         yield from _check_renderer("env.renderer", env["renderer"])
 

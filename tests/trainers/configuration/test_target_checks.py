@@ -71,3 +71,12 @@ def test_a_renderer_takes_what_it_is_called_with(renderer, said):
     config["env"]["renderer"] = {"_target_": f"{__name__}.{renderer.__name__}"}
     with pytest.raises(ValueError, match=said) if said else nullcontext():
         assembly.check(config)
+
+
+def test_what_is_wrong_with_the_environment_is_not_said_of_every_scenario():
+    config = compose(["env=insertion-sim", "env.base._target_=absent.Env"])
+    config["env"]["scenarios"]["other"] = {"_target_": "lost.Env"}
+    with pytest.raises(ValueError) as caught:
+        assembly.check(config)
+    lines = str(caught.value).splitlines()
+    assert [line.partition(": ")[0] for line in lines] == ["env.base", "env.scenarios.other"]
