@@ -82,6 +82,10 @@ class _Stopped(Exception):
     """The episode was cut short on purpose."""
 
 
+IN_VAIN = 20
+"""Robots are not reset for ever for a policy that is too late for a single step."""
+
+
 class Acting:
     """Acts and stores every transition until there are enough, or it is told to stop.
 
@@ -229,6 +233,14 @@ class Acting:
             log.warning("a policy's answer was late: %s; from now on it is counted", LATE[rule])
         self._has_been_late = True
         if rule == "stop":
+            if self._missed >= IN_VAIN:
+                wanted = self.settings.realtime.budget * self.pace.period
+                raise RuntimeError(
+                    f"trainer.realtime: expected an answer of the policy within {1e3 * wanted:.0f} "
+                    f"ms, got none {IN_VAIN} times in a row, and every time the robot was stopped; "
+                    "raise budget or period, make the network smaller, or choose another rule for "
+                    "late steps"
+                )
             raise _Stopped
         action = torch.zeros_like(td[BASE_ACTION])
         if rule == "hold" and self._last_command is not None:

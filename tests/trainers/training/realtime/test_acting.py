@@ -107,6 +107,14 @@ class Hesitates(torch.nn.Linear):
 LETS_GO = 4  # where
 
 
+class Dawdles(torch.nn.Linear):
+    """Never answers in time."""
+
+    def forward(self, place):
+        time.sleep(0.02)
+        return super().forward(place)
+
+
 def test_a_late_step_holds_what_an_operator_has_commanded(acting):
     def hand(place):
         return torch.full_like(place, 0.1), place[..., :1] < LETS_GO
@@ -120,6 +128,20 @@ def test_a_late_step_holds_what_an_operator_has_commanded(acting):
     near = [0.0, 0.0]  # the controller's -0.5, and the residual's 0.5
     assert robot.commands[LETS_GO] == near
     assert robot.commands[:LETS_GO] == [[pytest.approx(0.1)] * 2] * LETS_GO
+
+
+def test_a_policy_that_is_always_late_does_not_have_the_robot_reset_for_ever(acting, monkeypatch):
+    failures = []
+    monkeypatch.setattr(threading, "excepthook", lambda failure: failures.append(failure.exc_value))
+    policy = TensorDictModule(Dawdles(2, 2), ["end_effector_position"], ["action"])
+    robot = Recorded()
+    with acting(robot, policy, "stop"):
+        wait_for(lambda: failures)
+    (failure,) = failures
+    assert "expected an answer of the policy within" in str(failure)
+    assert "raise budget or period" in str(failure)
+    assert robot.told.count("reset") == 20
+    assert not robot.commands
 
 
 def test_a_robot_stands_still_before_somebody_else_has_it(acting, hand_over):
