@@ -74,8 +74,10 @@ def check_numbers(rows):
     assert {row["episodes"] for row in rows} == {"4"}
     final = [row for row in rows if row["evaluation"] == "final"]
     assert all(float(row["wall_time_s"]) > 0 and "torch=" in row["versions"] for row in final)
-    rescued = [float(row["rescues"]) - float(row["regressions"]) for row in final]
-    gains = [float(r["latest_success"]) - float(r["controller_success"]) for r in final]
+    helped = [row for row in final if row["arm"] == "residual RL"]
+    assert not any(row["rescues"] + row["controller_return"] for row in final if row not in helped)
+    rescued = [float(row["rescues"]) - float(row["regressions"]) for row in helped]
+    gains = [float(r["latest_success"]) - float(r["controller_success"]) for r in helped]
     assert rescued == pytest.approx([4 * gain for gain in gains])
 
 
