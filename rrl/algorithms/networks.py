@@ -122,9 +122,9 @@ class Movable(nn.Module):
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Any:
         super()._apply(once_each(fn), recurse)
         for module in self.modules():
-            if isinstance(module, TensorDictParams):
-                # Losses read detached tensors, which are kept and would stay what they were.
-                module._erase_cache()
+            if isinstance(module, TensorDictParams) and module.is_locked:
+                # Losses read detached tensors, which a lock keeps: they would stay what they were.
+                module.unlock_().lock_()
         return self
 
 
