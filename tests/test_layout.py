@@ -16,6 +16,16 @@ FORBIDDEN = {
     "configs": {"rrl", "torch"},
 }
 HYDRA_ONLY_IN = {"compose.py"}
+UNDERSCORED = {
+    *("_asdict", "_replace", "_exit"),  # public in spite of it: of named tuples and of os
+    *("_reset", "_step"),  # what a TorchRL transform is written by
+    "_modules",  # of torch.nn.Module, tables that its documentation names
+    "_buffers",
+    "_envs",  # of SerialEnv, which has no other way to its environments
+    "_freeze_rand_vec",  # of Meta-World, whose resets follow no seed otherwise
+    "_check_success",  # of robosuite, which reports no success otherwise
+}
+"""Names of others with an underscore that are used; nothing else stands for them."""
 
 
 def imports(path: Path) -> set[str]:
@@ -43,6 +53,25 @@ def test_imports_respect_the_layers(path):
             assert not (name == forbidden or name.startswith(forbidden + ".")), name
         if top in {"hydra", "omegaconf"}:
             assert path.name in HYDRA_ONLY_IN
+
+
+def privates(tree: ast.AST) -> tuple[set[str], set[str]]:
+    """Private names that a file makes, and those that it reads of anything but itself."""
+    made, read = set(), set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            made.add(node.name)
+        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            made.add(node.target.id)
+        elif isinstance(node, ast.Attribute) and re.match("_[a-z]", node.attr):
+            own = ast.unparse(node.value) in ("self", "cls", "super()")
+            (made if own else read).add(node.attr)
+    return made, read
+
+
+def test_private_names_of_others_are_left_alone():
+    files = [privates(ast.parse(path.read_text())) for path in sources()]
+    assert set().union(*(read - made for made, read in files)) == UNDERSCORED
 
 
 def rooms() -> list[set[str]]:

@@ -190,11 +190,10 @@ class InsertionEnv(EnvBase):
             tensor = torch.from_numpy(value.astype(bool if value.dtype == bool else np.float32))
             group, _, item = name.partition("/")
             (groups.setdefault(group, {}) if item else entries)[item or name] = tensor
-        # The entries are right by construction; checking each would cost as much as the physics.
         options: dict[str, Any] = {"batch_size": self.batch_size, "device": self.device}
         for group, items in groups.items():
-            entries[group] = TensorDict._new_unsafe(items, **options)
-        return TensorDict._new_unsafe(entries, **options)
+            entries[group] = TensorDict(items, **options)
+        return TensorDict(entries, **options)
 
     @property
     def control_period(self) -> float:
