@@ -89,6 +89,7 @@ def test_pixel_observables_and_mujocos_renderer_choose_a_backend_later() -> None
     assert "no pixels" in output or output.endswith("pixels True\nmujoco (24, 32, 3)\n")
 
 
+@pytest.mark.slow
 def test_a_camera_touches_opengl_with_its_first_picture_and_ends_quietly() -> None:
     camera = """
 import sys

@@ -48,13 +48,9 @@ def load(monkeypatch):
     return load_example
 
 
-LONG = [pytest.mark.slow, pytest.mark.timeout(1200)]  # compiled for a small run on a busy machine
-QUICK = ("budget",)
-
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name in QUICK else LONG) for name in TRAINED]
-)
+@pytest.mark.slow
+@pytest.mark.timeout(1200)  # compiled for a small run on a busy machine
+@pytest.mark.parametrize("name", TRAINED)
 def test_example_trains(name, load, tmp_path):
     module = load(name)
     module.EnvironmentFactory = partial(

@@ -100,6 +100,7 @@ def test_state_dict_goes_on_in_the_middle_of_an_episode() -> None:
     assert_same(env.reset(), other.reset())
 
 
+@pytest.mark.slow
 def test_a_worker_draws_too() -> None:
     workers = ParallelEnv(1, InsertionPixelsEnv, mp_start_method="spawn", serial_for_single=False)
     workers.set_seed(5)

@@ -43,7 +43,9 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(k, marks=[pytest.mark.slow] * ("parallel" in k)) for k in KINDS]
+)
 def test_a_plan_is_that_of_its_episode(kind: str) -> None:
     """The plan is the goal of the episode; an old plan, or zeros, would be another action."""
     env = KINDS[kind]()

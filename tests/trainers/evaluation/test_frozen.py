@@ -149,6 +149,7 @@ def test_episodes_that_only_look_alike_are_found_out(compare):
     assert not found.frozen
 
 
+@pytest.mark.slow
 def test_the_message_says_where_an_episode_differs(compare, caplog):
     compare(OwnNoise)
     assert "from step 1 on, in 'end_effector_position'" in caplog.text

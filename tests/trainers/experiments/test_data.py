@@ -140,6 +140,7 @@ def test_a_run_that_others_have_yet_to_start_from_is_trained(experiment, run, pr
     assert started == [("first", "1"), ("from-it", "1")]
 
 
+@pytest.mark.slow
 def test_runs_are_kept_as_they_end_and_shown_without_running(experiment, run, project, monkeypatch):
     experiment({**EXPERIMENT, "seeds": 1})
     monkeypatch.setenv("BROKEN_DRIFT", "0.06")

@@ -122,6 +122,7 @@ def test_every_kind_of_entry_is_rehearsed(inputs, tmp_path):
     ]
 
 
+@pytest.mark.slow
 def test_a_runtime_that_fails_is_not_blamed_on_the_chain(tmp_path, monkeypatch):
     def fails(values):
         raise RuntimeError("no memory")
@@ -358,7 +359,8 @@ def test_what_is_not_installed_is_named(tmp_path, monkeypatch):
         export_policy(point(), TensorDictModule(lambda: None, [], ["action"]), tmp_path / "export")
 
 
-@pytest.mark.parametrize("sees", [pytest.param(True, marks=pytest.mark.slow), False])
+@pytest.mark.slow
+@pytest.mark.parametrize("sees", [True, False])
 def test_a_graph_that_does_not_see_the_picture_is_refused(tmp_path, monkeypatch, sees):
     def graph_of(path):
         graph = onnx_graph(path)

@@ -137,10 +137,8 @@ LIMITED = {
 }
 
 
-@pytest.mark.parametrize(
-    "limits",
-    [pytest.param(name, marks=() if name == "all" else pytest.mark.slow) for name in LIMITED],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("limits", LIMITED)
 def test_a_scale_of_zero_is_the_controller_to_the_bit(limits, tmp_path):
     configured = config(*LIMITED[limits], "residual_scale=0.0")
     factory = replace(assembly.environment(configured), controller=pid)
@@ -179,6 +177,7 @@ ELSEWHERE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ELSEWHERE)
 def test_other_environments_whose_faults_stay_theirs(name, tmp_path):
     factory = replace(

@@ -22,10 +22,8 @@ from rrl.trainers.training.realtime.hand_over import HandOver
 SECONDS, STEPS = 1.5, 400  # longer than a loaded machine may stand still and a reset is tried again
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [pytest.param(k, marks=() if k == "die" else pytest.mark.slow) for k in KINDS],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
 def test_the_loop_stops_says_so_once_keeps_everything_and_goes_on(
     make_trainer, tmp_path, caplog, kind
 ):

@@ -232,6 +232,7 @@ def test_a_trainer_that_cannot_be_made_leaves_no_process(make, tmp_path):
     assert not HandOver(tmp_path / "run/realtime").is_alive()
 
 
+@pytest.mark.slow
 def test_a_second_trainer_beside_one_that_has_not_begun_is_refused(make):
     with make(), pytest.raises(BlockingIOError, match="got one, of this or another process"):
         make()
