@@ -21,16 +21,19 @@ from .outcomes import Finding, Outcome
 from .spec import Experiment, arm_of
 from .tables import Table
 
-SHOWN = "difference to the first change, 95 % interval over runs and episodes"
+SHOWN = "difference to the first change, 95 % interval over runs and episodes (hollow: one run's)"
 """What the figure's marks are."""
 READING = (
     "The controller and the first change are given as they are, the others as their difference to "
     "the first on the same seeds and the same episodes. The mean is over the tasks that the change "
     "is made on, if all of them report success. The tasks are fixed: its interval speaks of runs "
-    "and episodes like these on these tasks. The interval of a single run is over its episodes."
+    "and episodes like these on these tasks. With a star: of a single run, on one of the tasks at "
+    "least; the interval is over its episodes, and another seed may be far from it."
 )
 """How the tables are to be read."""
 MEAN = "mean of the tasks"
+STAR = " *"
+"""Behind the interval of a single run."""
 Pair = tuple[Outcome, Outcome]
 """A task's arm with a change, and its arm with the first of the changes."""
 
@@ -115,7 +118,7 @@ def _pairs(experiment: Experiment, finding: Finding, change: str) -> dict[str, P
         with_change, base = (
             arms.get(arm_of(task, name)) for name in (change, experiment.all_changes[0])
         )
-        if with_change and base and _seeds(with_change) & _seeds(base):
+        if with_change and base and _common((with_change, base)):
             found[task] = with_change, base
     return found
 
@@ -130,6 +133,16 @@ def _seeds(outcome: Outcome) -> set[int]:
     return {run.seed for run in outcome.runs}
 
 
+def _common(pair: Pair) -> set[int]:
+    """The seeds that are compared."""
+    return set.intersection(*map(_seeds, pair))
+
+
+def _is_single(pairs: Sequence[Pair]) -> bool:
+    """Whether on a task there is one run to compare."""
+    return any(len(_common(pair)) == 1 for pair in pairs)
+
+
 def _effect(pairs: Sequence[Pair], measure: Measure) -> tuple[float, Interval] | None:
     """The mean over tasks of what a change does; None of tasks that are measured differently."""
     entries = {outcome.measured_by for pair in pairs for outcome in pair}
@@ -138,9 +151,8 @@ def _effect(pairs: Sequence[Pair], measure: Measure) -> tuple[float, Interval] |
     entry = entries.pop()
     tables = []
     for pair in pairs:
-        seeds = set.intersection(*map(_seeds, pair))
         changed, base = (
-            np.array([measure.of(run, entry) for run in outcome.runs if run.seed in seeds])
+            np.array([measure.of(run, entry) for run in outcome.runs if run.seed in _common(pair)])
             for outcome in pair
         )
         tables.append(changed - base)  # (S, N)
@@ -152,7 +164,13 @@ def _effect(pairs: Sequence[Pair], measure: Measure) -> tuple[float, Interval] |
 def _cell(pairs: Sequence[Pair], measure: Measure) -> str:
     if not pairs or (found := _effect(pairs, measure)) is None:
         return ""
-    return with_interval(*found, unit_of(pairs[0][0].measured_by), sign="+")
+    text = with_interval(*found, unit_of(pairs[0][0].measured_by), sign="+")
+    return _starred(text, found[1]) if _is_single(pairs) else text
+
+
+def _starred(text: str, interval: Interval) -> str:
+    """Mark a single run's interval, if it has one."""
+    return text + STAR if np.isfinite(interval[0]) else text
 
 
 def _level(outcome: Outcome, measure: Measure, prefix: str = "") -> str:
@@ -165,7 +183,8 @@ def _level(outcome: Outcome, measure: Measure, prefix: str = "") -> str:
     interval = mean_interval(values.mean(axis=1))
     if entry == "success" and values.shape[1] > 1:
         interval = success_interval(values)
-    return with_interval(values.mean(), interval, unit)
+    text = with_interval(values.mean(), interval, unit)
+    return _starred(text, interval) if len(values) == 1 else text
 
 
 def _mark(axis: Axes, pairs: Sequence[Pair], measure: Measure, height: float) -> None:
@@ -175,4 +194,5 @@ def _mark(axis: Axes, pairs: Sequence[Pair], measure: Measure, height: float) ->
     (change, interval), unit = found, unit_of(pairs[0][0].measured_by)
     error = unit * np.nan_to_num(np.abs(np.subtract(interval, change)))[:, None]
     look: dict[str, Any] = {"color": measure.color, "capsize": 2, "ms": 4, "lw": 1.2}
+    look |= {"mfc": "white"} if _is_single(pairs) else {}
     axis.errorbar(unit * change, height, xerr=error, fmt="o", label=measure.name, **look)

@@ -91,6 +91,18 @@ def test_changes_of_returns_have_no_mean_over_tasks(outcome):
     assert cells["without a price"][2] == ""
 
 
+def test_a_single_runs_interval_has_a_star(outcome):
+    found = finding(
+        outcome("push, the default", {0: 16, 1: 18}),
+        outcome("push, without a price", {0: 6}),
+        outcome("hammer, the default", {0: 20, 1: 20}),
+        outcome("hammer, without a price", {0: 10, 1: 10}),
+    )
+    _, cells = rows(found)
+    starred = [[cell.endswith(" *") for cell in cells[change]] for change in CHANGES]
+    assert starred == [[False, False, False], [True, False, True]]
+
+
 def test_what_is_not_finished_is_left_empty(outcome):
     arms = {"push, without symmetry": ()}
     experiment = EXPERIMENT.model_copy(update={"arms": arms})
