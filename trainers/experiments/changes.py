@@ -158,7 +158,8 @@ def _effect(pairs: Sequence[Pair], measure: Measure) -> tuple[float, Interval] |
         tables.append(changed - base)  # (S, N)
     by_episode = entry == "success" and all(table.shape[1] > 1 for table in tables)
     change = float(np.mean([table.mean() for table in tables]))
-    return change, paired_interval(*tables, bound=1.0 if by_episode else None)
+    interval = paired_interval(*tables, bound=1.0 if by_episode else None)
+    return change, _within(interval, -1.0, entry)
 
 
 def _cell(pairs: Sequence[Pair], measure: Measure) -> str:
@@ -166,6 +167,12 @@ def _cell(pairs: Sequence[Pair], measure: Measure) -> str:
         return ""
     text = with_interval(*found, unit_of(pairs[0][0].measured_by), sign="+")
     return _starred(text, found[1]) if _is_single(pairs) else text
+
+
+def _within(interval: Interval, least: float, entry: str) -> Interval:
+    """Cut an interval of successes, or of their difference, off at what there can be."""
+    low, high = np.clip(interval, least, 1.0) if entry == "success" else interval
+    return float(low), float(high)
 
 
 def _starred(text: str, interval: Interval) -> str:
@@ -180,9 +187,9 @@ def _level(outcome: Outcome, measure: Measure, prefix: str = "") -> str:
     unit = unit_of(entry)
     if prefix:
         return number(values.mean(), unit)
-    interval = mean_interval(values.mean(axis=1))
-    if entry == "success" and values.shape[1] > 1:
-        interval = success_interval(values)
+    by_episode = entry == "success" and values.shape[1] > 1
+    interval = success_interval(values) if by_episode else mean_interval(values.mean(axis=1))
+    interval = _within(interval, 0.0, entry)
     text = with_interval(values.mean(), interval, unit)
     return _starred(text, interval) if len(values) == 1 else text
 

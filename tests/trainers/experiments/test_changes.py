@@ -74,6 +74,8 @@ def test_changes_are_compared_with_the_first_on_the_seeds_that_both_have(outcome
     _, on_the_way = rows(found, ON_THE_WAY)
     assert on_the_way["the default"][1].startswith("50.0 [")
     assert on_the_way["without a price"][2].startswith("-25.0 [")
+    two = finding(*(outcome(f"push, {arm}", {0: 1, 1: 20}) for arm in CHANGES))
+    assert rows(two, ON_THE_WAY)[1]["the default"][0].endswith("[0.0, 100.0] %")
     _, handed_over = rows(found, HANDED_OVER)
     assert handed_over["without a price"][0].startswith("+0.0 [-")
 
