@@ -25,7 +25,8 @@ from ...storage.transition_log import TransitionLog
 from ..collection_metrics import Authority
 from ..interface import prepare
 from ..torch_setup import configure_torch
-from .acting import Acting, Ending
+from .acting import Acting
+from .ending import Ending
 from .hand_over import HandOver
 
 log = logging.getLogger("rrl.trainers.training.realtime")  # __name__ is __main__

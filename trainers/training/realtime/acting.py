@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import chain
 
 import torch
@@ -27,6 +25,7 @@ from ...storage.transition_log import FOLDER, TransitionLog
 from ..collection_metrics import Authority
 from ..interface import Annealing
 from ..policy_vector import assign
+from .ending import Ending
 from .hand_over import HandOver, Weights
 from .policy_thread import PolicyThread
 from .records import Timing, make_record
@@ -40,50 +39,15 @@ LATE = {
 }
 
 
-class Ending:
-    """Remembers that the acting process was asked to end, by a signal; whoever acts looks at it.
-
-    Attributes:
-        is_asked: Whether it was.
-    """
-
-    def __init__(self) -> None:
-        self.is_asked = False
-        self._at_once = False
-
-    def ask(self, *_: object) -> None:
-        """Ask it to end, as the handler of a signal.
-
-        Raises:
-            SystemExit: Inside of :meth:`at_once`.
-        """
-        self.is_asked = True
-        if self._at_once:
-            raise SystemExit
-
-    @contextmanager
-    def at_once(self) -> Iterator[None]:
-        """Leave the body at once when asked: it takes long, and nothing in it looks.
-
-        Raises:
-            SystemExit: If it is asked, or was before. No ``except Exception`` in a robot's driver
-                keeps it.
-        """
-        self._at_once = True
-        try:
-            if self.is_asked:
-                raise SystemExit
-            yield
-        finally:
-            self._at_once = False
-
-
 class _Stopped(Exception):
     """The episode was cut short on purpose."""
 
 
-IN_VAIN = 20
-"""Robots are not reset for ever for a policy that is too late for a single step."""
+IN_VAIN, IN_VAIN_SECONDS = 20, 5.0
+"""Resets for a policy that is too late for a single step, and how long it must have been so.
+
+Robots are not reset for ever; one that resets in no time outlives a busy second of its computer.
+"""
 
 
 class Acting:
@@ -132,6 +96,7 @@ class Acting:
         self._weights = Weights(-1, -1, torch.empty(0))
         self._last_command: Tensor | None = None
         self._missed = self._faults = 0  # since the last record
+        self._missing_since = 0.0
         self._has_been_late = False
         self._moves = False  # the robot, since it was told to stop
         pace.meanwhile = self._while_there_is_time
@@ -228,25 +193,31 @@ class Acting:
     def _late(self, td: TensorDictBase) -> TensorDictBase:
         """Return ``td`` with the action of a step that the policy has no answer for in time."""
         rule, span = self.settings.realtime.late, self.authority.span
+        if self._missed == 0:
+            self._missing_since = time.monotonic()
         self._missed += 1
         if not self._has_been_late:
             log.warning("a policy's answer was late: %s; from now on it is counted", LATE[rule])
         self._has_been_late = True
         if rule == "stop":
-            if self._missed >= IN_VAIN:
-                wanted = self.settings.realtime.budget * self.pace.period
-                raise RuntimeError(
-                    f"trainer.realtime: expected an answer of the policy within {1e3 * wanted:.0f} "
-                    f"ms, got none {IN_VAIN} times in a row, and every time the robot was stopped; "
-                    "raise budget or period, make the network smaller, or choose another rule for "
-                    "late steps"
-                )
+            self._refuse_to_go_on_in_vain()
             raise _Stopped
         action = torch.zeros_like(td[BASE_ACTION])
         if rule == "hold" and self._last_command is not None:
             wanted = (self._last_command - td[BASE_ACTION]) / span
             action = torch.where(span > 0, wanted, 0.0).clamp(-1.0, 1.0)
         return td.set(ACTION, action)
+
+    def _refuse_to_go_on_in_vain(self) -> None:
+        seconds = time.monotonic() - self._missing_since
+        if self._missed < IN_VAIN or seconds < IN_VAIN_SECONDS:
+            return
+        wanted = 1e3 * self.settings.realtime.budget * self.pace.period
+        raise RuntimeError(
+            f"trainer.realtime: expected an answer of the policy within {wanted:.0f} ms, got none "
+            f"{self._missed} times in a row, and every time the robot was stopped; raise budget or "
+            "period, make the network smaller, or choose another rule for late steps"
+        )
 
     def _keep(self, td: TensorDictBase, timing: Timing) -> None:
         timing = timing._replace(

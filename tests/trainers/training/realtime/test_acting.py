@@ -1,5 +1,6 @@
 """The loop that does not wait, driving a robot in this process."""
 
+import math
 import threading
 import time
 from contextlib import contextmanager
@@ -16,7 +17,8 @@ from rrl.trainers.settings import RealTimeSettings
 from rrl.trainers.storage.transition_log import TransitionLog
 from rrl.trainers.training.interface import prepare
 from rrl.trainers.training.policy_vector import flatten
-from rrl.trainers.training.realtime.acting import Acting, Ending
+from rrl.trainers.training.realtime.acting import Acting
+from rrl.trainers.training.realtime.ending import Ending
 from rrl.trainers.training.realtime.hand_over import HandOver, Weights
 from rrl.transforms import Intervention
 
@@ -108,10 +110,16 @@ LETS_GO = 4  # where
 
 
 class Dawdles(torch.nn.Linear):
-    """Never answers in time."""
+    """Does not answer in time, the first ``often`` times."""
+
+    def __init__(self, often=math.inf):
+        super().__init__(2, 2)
+        self.left = often
 
     def forward(self, place):
-        time.sleep(0.02)
+        self.left -= 1
+        if self.left >= 0:
+            time.sleep(0.02)
         return super().forward(place)
 
 
@@ -133,15 +141,23 @@ def test_a_late_step_holds_what_an_operator_has_commanded(acting):
 def test_a_policy_that_is_always_late_does_not_have_the_robot_reset_for_ever(acting, monkeypatch):
     failures = []
     monkeypatch.setattr(threading, "excepthook", lambda failure: failures.append(failure.exc_value))
-    policy = TensorDictModule(Dawdles(2, 2), ["end_effector_position"], ["action"])
+    policy = TensorDictModule(Dawdles(), ["end_effector_position"], ["action"])
     robot = Recorded()
     with acting(robot, policy, "stop"):
         wait_for(lambda: failures)
     (failure,) = failures
     assert "expected an answer of the policy within" in str(failure)
     assert "raise budget or period" in str(failure)
-    assert robot.told.count("reset") == 20
+    assert robot.told.count("reset") >= 20
     assert not robot.commands
+
+
+def test_a_robot_that_resets_in_no_time_outlives_a_busy_second(acting):
+    policy = TensorDictModule(Dawdles(40), ["end_effector_position"], ["action"])
+    robot = Recorded()
+    with acting(robot, policy, "stop"):
+        wait_for(lambda: robot.commands)
+    assert robot.told.count("reset") > 20
 
 
 def test_a_robot_stands_still_before_somebody_else_has_it(acting, hand_over):
