@@ -57,7 +57,7 @@ def evaluate(config: assembly.Config, run_dir: Path, console: Output) -> None:
         results = _evaluate(config, load(config, path, console), console)
         title = f"{config['name']} ({path})"
         console.print(terminal_tables(one_run(results), declared, title=title))
-        time = datetime.now(timezone.utc).strftime("%Y-%m-%d_%H-%M-%S")
+        time = datetime.now(timezone.utc).strftime("%Y-%m-%d_%H-%M-%S-%f")
         out = path / f"evaluation-{time}.json"
         write_atomically(out.with_suffix(".yaml"), yaml.safe_dump(dict(config), sort_keys=False))
         write_results(results, out)

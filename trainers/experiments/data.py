@@ -71,6 +71,11 @@ def take(jobs: Sequence[Job], data: Path) -> list[Job]:
     return taken
 
 
+def kept_runs(data: Path) -> int:
+    """Return how many runs are kept below ``data``."""
+    return len(list(data.glob(f"*/*/{RESULTS}")))
+
+
 def train_again(jobs: Sequence[Job]) -> None:
     """Have runs made again that others have to start from, and of which there are numbers alone."""
     for job in _with_needs([job for job in jobs if not job.finished], jobs):

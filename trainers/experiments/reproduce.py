@@ -16,7 +16,7 @@ from ..launch.pool import Ending, launch, require_all
 from ..storage.files import claimed
 from ..training.interruption import Interruption
 from .claims import Verdict, judge
-from .data import keep, take, train_again
+from .data import keep, kept_runs, take, train_again
 from .figures import draw
 from .numbers import write_numbers
 from .outcomes import Finding, gather
@@ -86,6 +86,12 @@ def _run(jobs: Sequence[Job], settings: Settings, console: Output, again: str) -
     data.mkdir(parents=True, exist_ok=True)
     taken = take(jobs, data)
     console.say(f"{len(taken)} runs are taken from {data}, without what they learned")
+    if not any(job.finished for job in jobs) and (others := kept_runs(data)):
+        console.say(
+            f"none of the {others} runs kept there is one of these: they are of other experiments, "
+            f"of another scale than {settings.scale}, or of other settings",
+            style="yellow",
+        )
 
     def kept(job: Job) -> None:
         try:

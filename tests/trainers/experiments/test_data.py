@@ -60,6 +60,7 @@ def test_figure_tables_and_numbers_come_from_what_is_kept(experiment, run, proje
     experiment({**CURVES, "overrides": ["trainer.batch_size=8"]}, "other")
     _, said = run("other", data="kept", workers=0)
     assert "0 runs are taken from" in said  # of another configuration
+    assert "none of the 4 runs kept there is one of these" in said
     assert "4 runs, 0 of them finished; none is run now" in said
 
 
