@@ -174,8 +174,8 @@ class TrainerSettings(_Settings):
             long for it where another process is busy.
         flush_denormals: Treat denormal numbers as zero; Adam's moments decay into them and slow the
             products down.
-        matmul_precision: ``highest`` for float32 products, ``medium`` for bfloat16 products under
-            float32.
+        matmul_precision: See :func:`torch.set_float32_matmul_precision`. On a processor it costs
+            more in small products than it saves; see ``products`` of the algorithm.
         evaluation: See :class:`EvaluationSettings`.
         acceptance: See :class:`AcceptanceSettings`.
         constraints: See :class:`ConstraintSettings`; None: budgets are reported, not kept.

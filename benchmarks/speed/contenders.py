@@ -7,6 +7,7 @@ import copy
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +24,12 @@ FAST = [
     "algorithm.agent.compiled=true",
     "trainer.collection=overlap",
     "trainer.steps_per_collection=50",
-    "trainer.matmul_precision=medium",
+    "algorithm.agent.products=bfloat16",
 ]
 PLAIN = [
     "algorithm.agent.compiled=false",
     "trainer.collection=turn",
     "trainer.steps_per_collection=1",
-    "trainer.matmul_precision=highest",
 ]
 
 
@@ -65,18 +65,24 @@ def stable_baselines(
 ) -> None:
     """Stable-Baselines3's TD3, or SBX's."""
     from stable_baselines3.common.callbacks import BaseCallback
-    from stable_baselines3.common.noise import NormalActionNoise
+    from stable_baselines3.common.noise import NormalActionNoise, VectorizedActionNoise
+    from stable_baselines3.common.vec_env import DummyVecEnv
 
     if library == "sbx":
         from sbx import TD3
     else:
         from stable_baselines3 import TD3
     agent, trainer = config["algorithm"]["agent"], config["trainer"]
-    env, test = PlainInsertion(config, trainer["seed"]), PlainInsertion(config, 0)
+    count, test = trainer["num_envs"], PlainInsertion(config, 0)
+    seeds = range(trainer["seed"], trainer["seed"] + count)
+    env = DummyVecEnv([partial(PlainInsertion, config, seed) for seed in seeds])
+    noise = NormalActionNoise(
+        np.zeros(3), np.full(3, config["algorithm"]["exploration"]["sigma_init"])
+    )
 
     class Observer(BaseCallback):  # type: ignore[misc]
         def _on_step(self) -> bool:
-            meter.step(self.num_timesteps - 1)  # called before the updates of this step
+            meter.step(self.num_timesteps - count)  # called before the updates of this step
             _evaluate(
                 options,
                 meter,
@@ -99,11 +105,9 @@ def stable_baselines(
         tau=agent["tau"],
         gamma=agent["gamma"],
         train_freq=1,
-        gradient_steps=1,
+        gradient_steps=count,
         policy_delay=agent["policy_delay"],
-        action_noise=NormalActionNoise(
-            np.zeros(3), np.full(3, config["algorithm"]["exploration"]["sigma_init"])
-        ),
+        action_noise=VectorizedActionNoise(noise, count),
         policy_kwargs={"net_arch": list(agent["network"]["hidden"])},
         seed=trainer["seed"],
         **(smoothing if library == "sb3" else {}),

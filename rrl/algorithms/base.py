@@ -155,7 +155,8 @@ class Agent(Movable, ABC):
         make = self.settings.optimizer
         self.critic_optimizer = make(self._critic_params, lr=self.settings.critic_lr)
         self.actor_optimizer = make(self._actor_params, lr=self.settings.actor_lr)
-        self._updates = Updates(self, self._take_step, self.settings.compiled)
+        compiled, bfloat16 = self.settings.compiled, self.settings.products == "bfloat16"
+        self._updates = Updates(self, self._take_step, compiled, bfloat16)
 
     def start_from(self, other: Agent) -> None:
         """Take over networks, targets and temperature of ``other``, and what it has derived.

@@ -20,6 +20,8 @@ from torch import Tensor, nn
 from torch.fx import Graph, GraphModule, Node
 from torch.fx.experimental.proxy_tensor import get_proxy_mode, make_fx
 
+from rrl.algorithms.products import multiply_in_bfloat16
+
 log = logging.getLogger(__name__)
 
 Update = Callable[..., dict[str, Tensor]]
@@ -80,10 +82,11 @@ class CompiledUpdate:
         update: Takes tensors whose shapes never change, does the same operations every time, and
             holds on to the same tensors for good.
         module: Owns the tensors that the update changes; they must be in its ``state_dict``.
+        bfloat16: Multiply matrices in bfloat16 (:mod:`.products`).
     """
 
-    def __init__(self, update: Update, module: nn.Module) -> None:
-        self._update, self._module = update, module
+    def __init__(self, update: Update, module: nn.Module, bfloat16: bool = False) -> None:
+        self._update, self._module, self._bfloat16 = update, module, bfloat16
         self._names: list[str] = []
         self._state: list[Tensor] = []
         self._draws: list[Callable[[], Tensor]] = []
@@ -150,6 +153,8 @@ class CompiledUpdate:
         graph = make_fx(values, tracing_mode="fake", _allow_non_fake_inputs=True)(*tensors)
         self._state = _lift_state(graph)
         self._draws = _lift_draws(graph)
+        if self._bfloat16:
+            multiply_in_bfloat16(graph.graph)
         return GraphModule(nn.Module(), graph.graph)
 
 

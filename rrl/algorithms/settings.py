@@ -1,8 +1,8 @@
 """Hyperparameters that all algorithms have."""
 
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from rrl.algorithms.networks import NetworkFactory, mlp
 from rrl.algorithms.optimizers import Adam, OptimizerFactory
@@ -39,6 +39,9 @@ class AgentSettings(BaseModel):
             divided by ``n + 1``. The critics know little at first, and more and more later. None:
             derived from the episode's length.
         compiled: Compile the whole update into one graph.
+        products: Type in which a compiled update multiplies wide matrices; parameters, sums and
+            moments are float32 always. ``bfloat16`` is faster on processors with AVX512-BF16 or
+            AMX; on others a warning is given and float32 is used.
     """
 
     model_config = ConfigDict(
@@ -61,6 +64,7 @@ class AgentSettings(BaseModel):
     residual_penalty: float = Field(0.0, ge=0)
     penalty_updates: int | None = Field(1000, gt=0)
     compiled: bool = False
+    products: Literal["float32", "bfloat16"] = "float32"
 
     @field_validator("reward_scale")
     @classmethod
@@ -68,3 +72,9 @@ class AgentSettings(BaseModel):
         if value == 0:
             raise ValueError("reward_scale: expected a factor other than 0, got 0")
         return value
+
+    @model_validator(mode="after")
+    def _has_a_graph_for_bfloat16(self) -> Self:
+        if self.products == "bfloat16" and not self.compiled:
+            raise ValueError("products: bfloat16 is for compiled updates; set compiled=true too")
+        return self

@@ -12,6 +12,7 @@ from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor, nn
 
 from rrl.algorithms.compilation import CompiledUpdate, compiler_problem
+from rrl.algorithms.products import bfloat16_problem
 
 UPDATES_PER_GRAPH = 4
 """At most: every further one saves less time in a call and takes as long to compile."""
@@ -30,9 +31,10 @@ class Updates:
         module: Owns the tensors that the steps change.
         step: Takes one step.
         compiled: Make one graph of each kind of sequence; eager where that is not possible.
+        bfloat16: Multiply matrices in bfloat16 in these graphs, where that is not slower.
     """
 
-    def __init__(self, module: nn.Module, step: Step, compiled: bool) -> None:
+    def __init__(self, module: nn.Module, step: Step, compiled: bool, bfloat16: bool) -> None:
         self._module, self._step = module, step
         problem = compiler_problem() if compiled else None
         if problem is not None:
@@ -42,7 +44,7 @@ class Updates:
                 stacklevel=2,
             )
         self._graphs: dict[Any, CompiledUpdate] = {}
-        self._compiled = compiled and problem is None
+        self._compiled, self._bfloat16 = compiled and problem is None, bfloat16
 
     @property
     def compile_seconds(self) -> float:
@@ -61,10 +63,19 @@ class Updates:
         if not self._compiled:
             return update(*columns)
         sort = kinds, keys, tuple(column.shape for column in columns)
-        graph = self._graphs.setdefault(sort, CompiledUpdate(update, self._module))
+        if sort not in self._graphs:
+            self._check_bfloat16(columns[0].device)
+            self._graphs[sort] = CompiledUpdate(update, self._module, self._bfloat16)
+        graph = self._graphs[sort]
         values = graph(*columns)
         self._compiled = not graph.failed  # one warning, not one a graph
         return values
+
+    def _check_bfloat16(self, device: torch.device) -> None:
+        problem = bfloat16_problem(device) if self._bfloat16 else None
+        if problem is not None:
+            warnings.warn(f"products: {problem}; going on with float32", stacklevel=4)
+            self._bfloat16 = False
 
     def _take(
         self, kinds: tuple[Kind, ...], keys: tuple[NestedKey, ...], *columns: Tensor

@@ -112,6 +112,7 @@ def _unused(given: Mapping[str, str]) -> list[str]:
     unused = {
         "trainer.constraints*": all(value == "null" for value in budgets),
         "algorithm.agent.value_bounds": given.get("algorithm.agent.value_bounds") == "false",
+        "algorithm.agent.products": given.get("algorithm.agent.products") == '"float32"',
         "trainer.realtime.*": given.get("trainer.collection") != '"realtime"',
     }
     return [pattern for pattern, off in unused.items() if off]

@@ -30,20 +30,6 @@ def configure_torch(
         seed = int(np.random.SeedSequence([seed, env_steps]).generate_state(1)[0])
     seed_generators(seed)
     torch.set_num_threads(settings.threads)
-    torch.set_float32_matmul_precision(_precision(settings))
+    torch.set_float32_matmul_precision(settings.matmul_precision)
     if settings.flush_denormals and not torch.set_flush_denormal(True):
         warnings.warn("flush_denormals: this processor cannot; going on without", stacklevel=2)
-
-
-def _precision(settings: TrainerSettings) -> str:
-    """Return what was asked for; float32 where bfloat16 products would be the slower ones."""
-    has_amx = getattr(torch.cpu, "_is_amx_tile_supported", None)  # private, may go away
-    is_cpu = torch.device(settings.device).type == "cpu"
-    if settings.matmul_precision != "medium" or not is_cpu or (has_amx and has_amx()):
-        return settings.matmul_precision
-    warnings.warn(
-        "matmul_precision: this processor has no AMX, without which bfloat16 products are slower "
-        "than float32 ones; going on with highest",
-        stacklevel=3,
-    )
-    return "highest"
