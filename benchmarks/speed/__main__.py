@@ -7,7 +7,8 @@
     python -m benchmarks.speed env=insertion-sim     # an override of `rrl train`, for all
 
 Peers come with ``pip install -e '.[benchmark]'``; one that is not there is left out. All get flushed denormal numbers, and
-the machine's cores: a single run of a peer as threads, ours as the process that collects beside the updates. Absolute
+the machine's cores: a single run of a peer as threads, ours as the process that collects beside the updates. Our fast
+settings collect from several environments in one process; a row of its own gives them to Stable-Baselines3 too. Absolute
 figures belong to the machine, ratios travel; on a machine that does other work too, read the column "processor": of all
 threads of the busiest process, which nobody else's work lengthens much.
 """
@@ -29,8 +30,8 @@ from rich.markdown import Markdown
 from benchmarks.speed.report import chart, table
 from rrl.threads import cores
 
-NEEDS = {"sb3": "stable_baselines3", "sbx": "sbx"}
-PEERS = ["sb3", "sbx", "cleanrl", "torchrl"]
+NEEDS = {"sb3": "stable_baselines3", "sb3-several": "stable_baselines3", "sbx": "sbx"}
+PEERS = ["sb3", "sb3-several", "sbx", "cleanrl", "torchrl"]
 
 
 def plan(runs: int) -> dict[str, list[list[str]]]:

@@ -20,12 +20,12 @@ from benchmarks.speed.networks import Networks
 from benchmarks.speed.task import Config, PlainInsertion, configuration, success_rate
 from benchmarks.speed.torchrl_trainer import td3_trainer
 
+SEVERAL = ["trainer.num_envs=5", "trainer.steps_per_collection=10"]
 FAST = [
     "algorithm.agent.compiled=true",
     "algorithm.agent.products=bfloat16",
     "trainer.collection=overlap",
-    "trainer.num_envs=5",
-    "trainer.steps_per_collection=10",
+    *SEVERAL,
 ]
 PLAIN = [
     "algorithm.agent.compiled=false",
@@ -203,6 +203,7 @@ CONTENDERS: dict[str, Callable[..., None]] = {
     "rrl-plain": ours,
     "rrl-default": ours,
     "sb3": stable_baselines,
+    "sb3-several": stable_baselines,
     "sbx": sbx,
     "cleanrl": cleanrl,
     "torchrl": td3_trainer,
@@ -219,7 +220,8 @@ def main() -> None:
     parser.add_argument("overrides", nargs="*")
     options = parser.parse_intermixed_args()
     torch.set_flush_denormal(True)
-    switches = {"rrl": FAST, "rrl-plain": PLAIN}.get(options.name, [])
+    settings = {"rrl": FAST, "rrl-plain": PLAIN, "sb3-several": SEVERAL}
+    switches = settings.get(options.name, [])
     config = configuration(
         [
             f"trainer.seed={options.seed}",

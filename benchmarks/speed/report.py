@@ -18,6 +18,7 @@ LABELS = {
     "rrl-plain": "rrl, plain settings",
     "rrl-default": "rrl, its default algorithm",
     "sb3": "Stable-Baselines3",
+    "sb3-several": "Stable-Baselines3, five environments",
     "sbx": "SBX (JAX)",
     "cleanrl": "CleanRL style",
     "torchrl": "TorchRL's TD3Trainer",

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-NEEDS = {"sb3": "stable_baselines3", "sbx": "sbx"}
+NEEDS = {"sb3": "stable_baselines3", "sb3-several": "stable_baselines3", "sbx": "sbx"}
 
 
 @pytest.mark.slow
