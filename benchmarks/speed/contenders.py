@@ -21,12 +21,6 @@ from benchmarks.speed.task import Config, PlainInsertion, configuration, success
 from benchmarks.speed.torchrl_trainer import td3_trainer
 
 SEVERAL = ["trainer.num_envs=5", "trainer.steps_per_collection=10"]
-FAST = [
-    "algorithm.agent.compiled=true",
-    "algorithm.agent.products=bfloat16",
-    "trainer.collection=overlap",
-    *SEVERAL,
-]
 PLAIN = [
     "algorithm.agent.compiled=false",
     "trainer.collection=turn",
@@ -220,7 +214,7 @@ def main() -> None:
     parser.add_argument("overrides", nargs="*")
     options = parser.parse_intermixed_args()
     torch.set_flush_denormal(True)
-    settings = {"rrl": FAST, "rrl-plain": PLAIN, "sb3-several": SEVERAL}
+    settings = {"rrl": ["speed=fast"], "rrl-plain": PLAIN, "sb3-several": SEVERAL}
     switches = settings.get(options.name, [])
     config = configuration(
         [
