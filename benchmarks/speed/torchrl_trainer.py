@@ -84,10 +84,11 @@ def _environment(factory: EnvironmentFactory) -> EnvBase:
     """Our environment with the normalized inputs as one ``observation``."""
     env = factory.make(1)
     inputs = factory.read_inputs(env)
-    for key, entry in inputs.items():
+    normalized = [f"normalized {key}" for key in inputs]
+    for (key, entry), name in zip(inputs.items(), normalized, strict=True):
         loc, scale = entry.column("loc"), 1 / entry.column("scale")
-        env.append_transform(ObservationNorm(loc, scale, in_keys=[key], standard_normal=True))
-    env.append_transform(CatTensors(list(inputs), "observation", del_keys=False))
+        env.append_transform(ObservationNorm(loc, scale, [key], [name], standard_normal=True))
+    env.append_transform(CatTensors(normalized, "observation", del_keys=False))
     return env
 
 

@@ -39,7 +39,7 @@ def test_the_controller_is_tuned_by_every_method_for_every_goal():
 @pytest.mark.parametrize("name", ["rrl", "rrl-plain", "rrl-default", "cleanrl", "torchrl", *NEEDS])
 def test_a_contender_trains(name):
     pytest.importorskip(NEEDS.get(name, "rrl"))
-    settings = ["env=insertion-sim", "trainer.total_steps=500", "trainer.warmup_steps=100"]
+    settings = ["trainer.total_steps=500", "trainer.warmup_steps=100"]
     command = [sys.executable, "-W", "ignore", "-m", "benchmarks.speed.contenders", name, *settings]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
