@@ -57,11 +57,10 @@ def _is_wide(left: torch.Tensor, right: torch.Tensor) -> bool:
 
 
 def _converted(graph: Graph, node: Node, dtype: torch.dtype) -> Node:
-    return _call(graph, ATEN._to_copy.default, node, dtype=dtype)
+    return _call(graph, torch.ops.prims.convert_element_type.default, node, dtype)
 
 
-def _call(graph: Graph, target: Any, *args: Any, **kwargs: Any) -> Node:
-    node = graph.call_function(target, args, kwargs)
-    values = [a.meta["val"] if isinstance(a, Node) else a for a in args]
-    node.meta["val"] = target(*values, **kwargs)
+def _call(graph: Graph, target: Any, *args: Any) -> Node:
+    node = graph.call_function(target, args)
+    node.meta["val"] = target(*(a.meta["val"] if isinstance(a, Node) else a for a in args))
     return node
