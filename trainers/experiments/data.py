@@ -39,8 +39,10 @@ ENTRIES = tuple(p + e for e in ("success", "return") for p in ("", CONTROLLER, A
 
 
 def keep(job: Job, data: Path) -> None:
-    """Write what is kept of a finished run below ``data``."""
+    """Write what is kept of a finished run below ``data``; what was taken from there stays."""
     run, folder = Run(job.path, job.name), _folder(job, data)
+    if not _begun(job) and (folder / RESULTS).is_file():
+        return  # the store has today's configuration of it, that folder what was run
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / CONFIG_FILE, _config(job))
     if keeps_positions(run.config):

@@ -118,6 +118,25 @@ def test_a_kept_run_names_its_source_as_it_is_kept_wherever_the_store_is(tmp_pat
         assert yaml.safe_load(text) == {**config, "init_from": {"run": "first-12ab/seed-0"}}
 
 
+def test_a_kept_run_says_what_was_run_when_its_settings_have_more_entries(tmp_path):
+    """A later version's configuration of the same run has a setting that was not there before."""
+    path = tmp_path / "store/runs/some-12ab/seed-0"
+    config = yaml.safe_load((make_run(path) / "config.yaml").read_text())
+    config["env"]["inputs"] = {}
+    write_config(config, path)
+    keep(Job(path, config, ()), tmp_path / "kept")
+    before = {p: p.read_bytes() for p in (tmp_path / "kept").rglob("*") if p.is_file()}
+    for name in ("checkpoints", "transitions"):  # as of a run that was taken
+        shutil.rmtree(path / name, ignore_errors=True)
+    later = {**config, "later": 1}
+    write_config(later, path)
+    keep(Job(path, later, ()), tmp_path / "kept")
+    assert {p: p.read_bytes() for p in (tmp_path / "kept").rglob("*") if p.is_file()} == before
+    keep(Job(path, later, ()), tmp_path / "another")
+    (text,) = (p.read_text() for p in (tmp_path / "another").rglob("config.yaml"))
+    assert yaml.safe_load(text)["later"] == 1
+
+
 @pytest.mark.slow
 def test_a_run_that_others_have_yet_to_start_from_is_trained(experiment, run, project):
     experiment(CHAIN)
