@@ -132,6 +132,12 @@ class TorchOptimizer(nn.Module):
         self._optimizer.step()
         self._optimizer.zero_grad()
 
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Any:
+        super()._apply(fn, recurse)
+        # The moments are no buffers: loading puts them where their parameters are by now.
+        self._optimizer.load_state_dict(self._optimizer.state_dict())
+        return self
+
     def get_extra_state(self) -> dict[str, Any]:
         """Return the optimizer's state."""
         return self._optimizer.state_dict()

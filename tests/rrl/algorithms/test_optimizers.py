@@ -30,6 +30,18 @@ def test_a_learner_that_goes_on_has_its_moments_and_the_new_learning_rate(optimi
             torch.testing.assert_close(parameters(slow)[name], saved[name], rtol=0, atol=1e-6)
 
 
+@pytest.mark.parametrize("optimizer", OPTIMIZERS.values(), ids=OPTIMIZERS)
+def test_the_moments_of_a_learner_that_was_moved_go_with_its_parameters(optimizer):
+    agent = make_agent(optimizer=optimizer)
+    learn(agent, 2)
+    agent.double()  # as to another device: makes new tensors of another kind
+    before = {name: value.clone() for name, value in parameters(agent).items()}
+    learn(agent, 2, seed=1)
+    for name, value in parameters(agent).items():
+        assert value.dtype == before[name].dtype == torch.float64, name
+    assert any(not torch.equal(value, before[name]) for name, value in parameters(agent).items())
+
+
 @pytest.mark.parametrize("goes_on", [False, True])
 def test_an_attempt_to_compile_leaves_no_step_in_the_moments(goes_on):
     """An optimizer of torch cannot be compiled, and keeps its moments beside the tensors."""
