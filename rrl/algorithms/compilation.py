@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import functools
 import importlib
 import logging
 import os
 import tempfile
+import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -59,7 +61,27 @@ def import_compiler() -> None:
         if compiler_problem() is None:
             for module in ("torch._inductor.compile_fx", "torch._dynamo.repro.after_dynamo"):
                 importlib.import_module(module)
+            find_vector_instructions()
+
+
+@functools.cache
+def find_vector_instructions() -> threading.Thread:
+    """Return a thread in which the compiler finds out what the processor and ``g++`` can do.
+
+    It builds and loads small programs for that, in other processes: seconds, of which the first
+    update need not wait for one if the thread starts when the learner is made.
+    """
+    with contextlib.suppress(ImportError):  # another version has other modules
+        for module in ("codecache", "cpu_vec_isa"):  # not in the thread: another may import too
+            importlib.import_module(f"torch._inductor.{module}")
+
+    def find() -> None:
+        with contextlib.suppress(Exception):  # the compiler meets it again, and says so
             importlib.import_module("torch._inductor.cpu_vec_isa").pick_vec_isa()
+
+    thread = threading.Thread(target=find, name="rrl-vector-instructions", daemon=True)
+    thread.start()
+    return thread
 
 
 def being_traced() -> bool:
@@ -112,6 +134,7 @@ class CompiledUpdate:
         log.info("compiling the update: up to half a minute the first time, else seconds")
         start = time.perf_counter()
         cache = _choose_cache()
+        find_vector_instructions().join()
         before = copy.deepcopy(self._module.state_dict())
 
         def put_back() -> None:

@@ -11,7 +11,11 @@ import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor, nn
 
-from rrl.algorithms.compilation import CompiledUpdate, compiler_problem
+from rrl.algorithms.compilation import (
+    CompiledUpdate,
+    compiler_problem,
+    find_vector_instructions,
+)
 from rrl.algorithms.products import bfloat16_problem
 
 UPDATES_PER_GRAPH = 4
@@ -45,6 +49,8 @@ class Updates:
             )
         self._graphs: dict[Any, CompiledUpdate] = {}
         self._compiled, self._bfloat16 = compiled and problem is None, bfloat16
+        if self._compiled:
+            find_vector_instructions()  # while the first transitions are collected
 
     @property
     def compile_seconds(self) -> float:

@@ -135,6 +135,25 @@ assert ("torch._inductor.compile_fx" in sys.modules) == {there}
     subprocess.run([sys.executable, "-W", "ignore", "-c", script], check=True)
 
 
+def test_what_the_processor_can_do_is_found_out_from_when_a_learner_to_be_compiled_is_made():
+    """In a process of its own, because PyTorch remembers it; what it finds is what PyTorch would."""
+    script = f"""
+import sys, threading, warnings
+sys.path.insert(0, {str(Path(__file__).parents[2])!r})
+from agents import make_agent
+warnings.simplefilter("error")
+name = "rrl-vector-instructions"
+make_agent()
+assert name not in [thread.name for thread in threading.enumerate()]
+make_agent(compiled=True)
+(thread,) = [thread for thread in threading.enumerate() if thread.name == name]
+thread.join()
+from torch._inductor.cpu_vec_isa import valid_vec_isa_list
+assert valid_vec_isa_list.cache_info().currsize == 1
+"""
+    subprocess.run([sys.executable, "-W", "ignore", "-c", script], check=True)
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # the compiler warns of its own doings
 def test_a_compiled_update_changes_the_tensors_that_its_update_holds_on_to(caplog):
