@@ -15,6 +15,7 @@ from rrl.algorithms.networks import Linear
 from rrl.trainers.environment import EnvironmentFactory
 
 BATCH, OBSERVATION, ACTION = 16, 5, 2
+SMALL = partial(TD3, network=partial(mlp, hidden=[16, 16]))
 
 
 def make_agent(
@@ -84,7 +85,7 @@ def critics(loss: Any, params: str) -> Iterator[Any]:
         yield q
 
 
-def random_policy(factory: EnvironmentFactory, make_agent: Any, seed: int = 0) -> Any:
+def random_policy(factory: EnvironmentFactory, make_agent: Any = SMALL, seed: int = 0) -> Any:
     """A policy with weights that nobody has trained, but not the zeros of an untrained residual."""
     env = factory.make(1)
     torch.manual_seed(seed)

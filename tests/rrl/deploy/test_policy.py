@@ -1,4 +1,4 @@
-"""`rrl.deploy.Policy`: what it does with an exported folder, what it refuses, and that it needs no torch."""
+"""`rrl.deploy.Policy`: what it does with an exported folder or refuses, and that it needs no torch."""
 
 from __future__ import annotations
 
@@ -6,70 +6,23 @@ import json
 import shutil
 import subprocess
 import sys
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from agents import random_policy
-from rrl.algorithms import TD3, mlp
-from rrl.controllers import PIDController
+from exports import OBSERVATION, RATE, acts, export_with_memory
 from rrl.deploy import Policy, read_contract
 from rrl.deploy.archive import torch_graph
 from rrl.deploy.contract import ARCHIVE, CONTRACT, MODEL
 from rrl.sealed import sealed
-from rrl.trainers.environment import EnvironmentFactory
-from rrl.trainers.export.folder import export_policy
-from rrl.transforms import FiniteAction, StepLimit
-from toy_envs import PointMass
-
-RATE = 50.0
-OBSERVATION = {"end_effector_position": np.array([0.1, 0.2]), "goal": np.array([0.3, -0.1])}
-
-
-def point(**changes):
-    """A point under a controller with memory, whose steps are limited."""
-    return EnvironmentFactory(
-        **{
-            "base": lambda num_envs=1: PointMass([num_envs]),
-            "controller": partial(PIDController, gain=2.0, integral_gain=0.5, time_step=0.02),
-            "inputs": ["end_effector_position", "goal", "previous_action"],
-            "residual_scale": 0.5,
-            "safety": [partial(StepLimit, change=0.2), partial(FiniteAction, replacement="last")],
-            "control_period": 1 / RATE,
-            "units": {"goal": "m", "action": "0.1 m"},
-            **changes,
-        }
-    )
-
-
-def export(folder, **changes):
-    factory = point(**changes)
-    policy = random_policy(factory, partial(TD3, network=partial(mlp, hidden=[16, 16])))
-    export_policy(factory, policy, folder)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return export(tmp_path_factory.mktemp("point") / "export")
 
 
 @pytest.fixture(scope="module")
 def unguarded(tmp_path_factory):
     """Without anything that deals with NaN."""
-    return export(tmp_path_factory.mktemp("unguarded") / "export", safety=[])
-
-
-@pytest.fixture
-def policy(folder):
-    return Policy(folder, RATE)
-
-
-def acts(policy, steps=4, **changes):
-    return [policy.act({**OBSERVATION, **changes}).copy() for _ in range(steps)]
+    return export_with_memory(tmp_path_factory.mktemp("unguarded") / "export", safety=[])
 
 
 def test_it_remembers_within_an_episode_and_starts_anew_with_the_next(policy):
@@ -107,14 +60,6 @@ def test_what_an_act_returns_belongs_to_the_caller(folder, graph):
             array.fill(0)
 
 
-def test_lists_other_numbers_and_further_entries_are_taken(policy):
-    plain = {"camera": "off", **{name: value.tolist() for name, value in OBSERVATION.items()}}
-    expected = acts(policy, 1)
-    policy.reset()
-    np.testing.assert_array_equal([policy.act(plain)], expected)
-    assert policy.act({**OBSERVATION, "goal": np.array([0, 1])}).dtype == np.float32
-
-
 def test_the_contract_says_what_goes_in_and_comes_out(folder):
     contract = read_contract(folder)
     assert [(e.name, e.shape, e.unit) for e in contract.entries] == [
@@ -143,88 +88,6 @@ def test_the_contract_says_what_goes_in_and_comes_out(folder):
 def test_a_wrong_rate_is_refused(folder, rate):
     with pytest.raises(ValueError, match=f"rate: expected 50 control steps a second.*{rate}"):
         Policy(folder, rate)
-
-
-GOAL, POSITION = OBSERVATION["goal"], OBSERVATION["end_effector_position"]
-
-
-@pytest.mark.parametrize(
-    ("observation", "message"),
-    [
-        ({"goal": GOAL}, r"without \['end_effector_position'\]"),
-        ({}, "without"),
-        ({"goal": GOAL, "end_effector_position": POSITION}, r"in the order \['goal'"),
-        ([POSITION, GOAL], "expected a mapping with .* got a list"),
-        ({**OBSERVATION, "goal": GOAL[None]}, r"goal: expected the shape \(2,\), got \(1, 2\)"),
-        ({**OBSERVATION, "goal": np.zeros(3)}, r"goal: expected the shape \(2,\), got \(3,\)"),
-        ({**OBSERVATION, "goal": GOAL.astype(complex)}, "goal: expected float32, got complex128"),
-    ],
-)
-def test_entries_that_are_not_the_contracts_are_refused(policy, observation, message):
-    expected = acts(policy, 2)[1]
-    policy.reset()
-    policy.act(OBSERVATION)
-    with pytest.raises(ValueError, match=message):
-        policy.act(observation)
-    np.testing.assert_array_equal(policy.act(OBSERVATION), expected)  # as if nothing had been
-
-
-def with_another_goal(folder, copy, **changes):
-    """A policy whose contract says something else of the goal, and what its graph is shown."""
-    path = Path(shutil.copytree(folder, copy)) / CONTRACT
-    content = json.loads(path.read_text())["content"]
-    content["entries"][1].update(changes)
-    path.write_text(sealed(content))
-    shown = []
-    nothing = {f"report/{e['name']}": np.zeros(1) for e in content["reports"]}
-    nothing |= {f"next/{e['name']}": np.zeros(1) for e in content["state"]}
-
-    def graph(inputs):
-        shown.append(inputs)
-        return {"command": np.zeros(2), **nothing}
-
-    return Policy(copy, RATE, graph), shown
-
-
-def test_integers_that_the_entry_cannot_hold_are_refused(folder, tmp_path):
-    policy, shown = with_another_goal(folder, tmp_path / "copy", dtype="uint8")
-    with pytest.raises(
-        ValueError, match=r"goal: expected numbers that uint8 holds, got \[300, 2\]"
-    ):
-        policy.act({**OBSERVATION, "goal": np.array([300, 2], np.uint16)})
-    policy.act({**OBSERVATION, "goal": np.array([255, 2], np.uint16)})
-    assert [inputs["entry/goal"].tolist() for inputs in shown] == [[255, 2]]
-
-
-@pytest.mark.parametrize(
-    ("dtype", "goal", "shown"),
-    [
-        ("bool", [1, 0], [True, False]),
-        ("int16", [3.0, -4.0], [3, -4]),
-        ("bool", [0.5, 0], None),
-        ("int16", [np.nan, 0.0], None),
-        ("float32", ["0", "1"], None),
-    ],
-)
-def test_a_type_is_as_strict_as_in_training(folder, tmp_path, dtype, goal, shown):
-    policy, seen = with_another_goal(folder, tmp_path / "copy", dtype=dtype)
-    if shown is None:
-        with pytest.raises(ValueError, match=f"goal: expected (numbers that )?{dtype}"):
-            policy.act({**OBSERVATION, "goal": goal})
-    else:
-        policy.act({**OBSERVATION, "goal": goal})
-        assert seen[0]["entry/goal"].tolist() == shown
-
-
-@pytest.mark.parametrize("name", ["arm.goal", "arm/goal"])
-@pytest.mark.parametrize("goal", [0.5, np.float64(0.5), np.array(0.5), [0.5]])
-def test_what_a_robot_observes_is_taken_as_it_is(folder, tmp_path, name, goal):
-    """`RobotEnv` makes one number of an entry without shape, and nests a name with a slash."""
-    policy, shown = with_another_goal(folder, tmp_path / "copy", name="arm.goal", shape=[1])
-    policy.act({"end_effector_position": POSITION, "arm/speed": 1.0, name: goal})
-    assert shown[0]["entry/arm.goal"].tolist() == [0.5]
-    with pytest.raises(ValueError, match=r"without \['arm\.goal'\]"):
-        policy.act({"end_effector_position": POSITION})
 
 
 @pytest.mark.parametrize("name", [MODEL, ARCHIVE, CONTRACT])

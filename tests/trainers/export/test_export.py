@@ -1,57 +1,28 @@
-"""What an export holds, what stays outside, and what cannot be exported."""
+"""What an export holds, and what stays outside."""
 
 from __future__ import annotations
 
-import sys
 from functools import partial
 
 import numpy as np
 import pytest
 import torch
-from tensordict.nn import TensorDictModule
 from torchrl.data import Binary, Bounded, Categorical, MultiOneHot, OneHot, Unbounded
 from torchrl.envs import GymEnv
-from torchrl.envs.transforms import Transform
 
 from agents import random_policy
 from benchmarks.deploy.episodes import trainers_episode
-from pixel_envs import PixelPoint
-from rrl.algorithms import TD3, mlp
-from rrl.controllers import (
-    Controller,
-    ProportionalController,
-    StatefulController,
-    ZeroController,
-)
+from exports import KEYS, point
+from rrl.controllers import Controller, StatefulController, ZeroController
 from rrl.deploy import Policy, read_contract
-from rrl.deploy.policy import onnx_graph
-from rrl.robot import RobotFault
 from rrl.trainers.descriptions import named
 from rrl.trainers.environment import EnvironmentFactory, Input
 from rrl.trainers.evaluation.rollout import zero_residual
 from rrl.trainers.export.folder import export_policy
 from rrl.transforms import ControlNoise, FiniteAction, StepLimit
-from rrl.transforms.base import RandomTransform, SlotTransform
+from rrl.transforms.base import SlotTransform
 from situation_envs import Machine
 from toy_envs import PointMass
-
-KEYS = ["end_effector_position", "goal"]
-
-
-def point(**changes):
-    return EnvironmentFactory(
-        **{
-            "base": lambda num_envs=1: PointMass([num_envs]),
-            "controller": partial(ProportionalController, gain=2.0),
-            "inputs": KEYS,
-            "max_episode_steps": 20,
-            **changes,
-        }
-    )
-
-
-def policy_for(factory):
-    return random_policy(factory, partial(TD3, network=partial(mlp, hidden=[16, 16])))
 
 
 class ByNumPy(Controller):
@@ -90,7 +61,7 @@ class Counts(Controller):
 )
 def test_a_controller_that_cannot_be_recorded_stays_outside(controller, tmp_path):
     factory = point(controller=partial(controller, KEYS), residual_scale=0.5)
-    policy = policy_for(factory)
+    policy = random_policy(factory)
     content = export_policy(factory, policy, tmp_path / "export")
     assert content["controller"]["why_outside"]
     exported = Policy(tmp_path / "export")
@@ -116,20 +87,10 @@ ENTRIES = {
 def test_every_kind_of_entry_is_rehearsed(inputs, tmp_path):
     machine, read = partial(Machine, ENTRIES), dict.fromkeys(inputs, Input())
     factory = point(base=machine, controller=ZeroController, inputs=read, batching="serial")
-    content = export_policy(factory, policy_for(factory), tmp_path / "export")
+    content = export_policy(factory, random_policy(factory), tmp_path / "export")
     assert [entry["name"] for entry in content["entries"]] == [
         name if isinstance(name, str) else ".".join(name) for name in inputs
     ]
-
-
-@pytest.mark.slow
-def test_a_runtime_that_fails_is_not_blamed_on_the_chain(tmp_path, monkeypatch):
-    def fails(values):
-        raise RuntimeError("no memory")
-
-    monkeypatch.setattr("rrl.trainers.export.folder.onnx_graph", lambda path: fails)
-    with pytest.raises(ValueError, match=r"^policy\.onnx does not run: .*RuntimeError: no memory"):
-        export_policy(point(), policy_for(point()), tmp_path / "export")
 
 
 class FromTheStart(StatefulController):
@@ -166,7 +127,7 @@ def test_memory_of_any_part_is_handed_from_step_to_step(tmp_path):
         inputs=[*KEYS, "base_action", "previous_action"],
         action_history=3,
     )
-    policy = policy_for(factory)
+    policy = random_policy(factory)
     content = export_policy(factory, policy, tmp_path / "export")
     assert content["left_out"] == {"disturbances": [], "sensing": []}
     exported = Policy(tmp_path / "export")
@@ -180,7 +141,7 @@ def test_memory_of_any_part_is_handed_from_step_to_step(tmp_path):
 
 def test_a_chain_without_memory_has_no_state(tmp_path):
     factory = point(safety=[])  # the guard against NaN remembers the last command
-    content = export_policy(factory, policy_for(factory), tmp_path / "export")
+    content = export_policy(factory, random_policy(factory), tmp_path / "export")
     assert content["state"] == []
     assert content["ends_episode"] is None
 
@@ -196,13 +157,13 @@ def test_flags_that_an_environment_writes_as_numbers_are_no_obstacle(tmp_path):
             return out | {"success": out["success"].float()}
 
     factory = point(base=lambda num_envs=1: Numbers([num_envs]))
-    content = export_policy(factory, policy_for(factory), tmp_path / "export")
+    content = export_policy(factory, random_policy(factory), tmp_path / "export")
     assert [e["name"] for e in content["entries"]] == KEYS
 
 
 def test_what_is_recorded_of_the_executed_action_survives_without_its_noise(tmp_path):
     factory = point(disturbances=[partial(ControlNoise, mu=0.3)], inputs=[*KEYS, "executed_action"])
-    content = export_policy(factory, policy_for(factory), tmp_path / "export")
+    content = export_policy(factory, random_policy(factory), tmp_path / "export")
     assert [e["name"] for e in content["entries"]] == KEYS
     assert [e["name"] for e in content["state"]] == ["last.action", "starts"]
     assert content["left_out"]["disturbances"] == [
@@ -234,71 +195,10 @@ def test_nan_that_the_graph_would_not_see_is_refused(tmp_path):
         safety=[FiniteAction],
         batching="serial",
     )
-    export_policy(factory, policy_for(factory), tmp_path / "export")
+    export_policy(factory, random_policy(factory), tmp_path / "export")
     assert not read_contract(tmp_path / "export").entries[0].guarded
     with pytest.raises(ValueError, match="observation: expected finite numbers"):
         Policy(tmp_path / "export").act({"observation": [np.nan, 0.0, 0.0]})
-
-
-class Sorted(Transform):
-    """Cannot be recorded: it leaves torch."""
-
-    def _call(self, next_tensordict):
-        goal = next_tensordict["goal"].numpy()
-        return next_tensordict.set("goal", torch.from_numpy(np.sort(goal)))
-
-    def forward(self, tensordict):
-        return self._call(tensordict)
-
-    def _reset(self, tensordict, tensordict_reset):
-        return self._call(tensordict_reset)
-
-
-class Upward(Sorted):
-    """Cannot be recorded: it branches on a number."""
-
-    def _call(self, next_tensordict):
-        goal = next_tensordict["goal"]
-        return next_tensordict.set("goal", -goal if goal.sum() < 0 else goal)
-
-
-class Fault(RandomTransform):
-    """A fault that does not say what is left without it."""
-
-    def __init__(self):
-        super().__init__(seed=0, stream="fault", in_keys=["goal"], out_keys=["goal"])
-
-    def _first(self, td, mask):
-        return {"goal": td["goal"]}
-
-    def _advance(self, td, next_td, mask):
-        return {"goal": next_td["goal"]}
-
-
-@pytest.mark.parametrize(
-    ("sensing", "message"),
-    [
-        (Sorted, "the chain cannot be exported: expected transforms and a policy of torch"),
-        (Upward, "the chain cannot be exported: .* do not branch on numbers, got GuardOnData"),
-        (Fault, r"Fault: expected a method silence\(\)"),
-    ],
-)
-def test_a_chain_that_cannot_be_recorded_is_refused(sensing, message, tmp_path, capfd):
-    factory = point(sensing=[sensing])
-    with pytest.raises((ValueError, NotImplementedError), match=message):
-        export_policy(factory, policy_for(point()), tmp_path / "export")
-    assert not list(tmp_path.iterdir())
-    assert capfd.readouterr() == ("", "")
-
-
-def silent(num_envs):
-    raise RobotFault("no answer")
-
-
-def test_a_robot_that_is_off_leaves_no_folder(tmp_path):
-    with pytest.raises(RobotFault, match="no answer"):
-        export_policy(point(base=silent), policy_for(point()), tmp_path / "export")
-    assert not list(tmp_path.iterdir())
 
 
 def mixed(parts, scale):
@@ -325,53 +225,14 @@ def test_a_contract_has_every_number_of_a_part(make, more):
     assert named(make) == {"class": f"{make.func.__module__}.{make.func.__qualname__}", **more}
 
 
-def stopped(features):
-    raise KeyboardInterrupt
-
-
-def test_ctrl_c_leaves_an_earlier_export_and_nothing_beside_it(tmp_path):
-    folder = tmp_path / "export"
-    folder.mkdir()
-    (folder / "contract.json").write_text("an earlier export")
-    policy = TensorDictModule(stopped, KEYS[:1], ["action"])
-    with pytest.raises(KeyboardInterrupt):
-        export_policy(point(), policy, folder)
-    assert list(tmp_path.iterdir()) == [folder]
-    assert (folder / "contract.json").read_text() == "an earlier export"
-
-
 @pytest.mark.slow
 def test_an_earlier_export_is_replaced_and_nothing_else(tmp_path):
     folder = tmp_path / "export"
-    export_policy(point(), policy_for(point()), folder, {"trained": {"seed": 1}})
-    content = export_policy(point(), policy_for(point()), str(folder), {"trained": {"seed": 2}})
+    export_policy(point(), random_policy(point()), folder, {"trained": {"seed": 1}})
+    content = export_policy(point(), random_policy(point()), str(folder), {"trained": {"seed": 2}})
     assert read_contract(folder).content == content
     assert content["trained"] == {"seed": 2}
     assert list(tmp_path.iterdir()) == [folder]
     (tmp_path / "mine").mkdir()
     with pytest.raises(FileExistsError, match="mine: expected no folder or an earlier export"):
-        export_policy(point(), policy_for(point()), tmp_path / "mine")
-
-
-def test_what_is_not_installed_is_named(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "onnxscript", None)
-    with pytest.raises(ImportError, match=r"onnxscript.*pip install -e '\.\[export\]'"):
-        export_policy(point(), TensorDictModule(lambda: None, [], ["action"]), tmp_path / "export")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("sees", [True, False])
-def test_a_graph_that_does_not_see_the_picture_is_refused(tmp_path, monkeypatch, sees):
-    def graph_of(path):
-        graph = onnx_graph(path)
-        return lambda given: graph(
-            {name: v * sees if v.dtype == np.uint8 else v for name, v in given.items()}
-        )
-
-    monkeypatch.setattr("rrl.trainers.export.folder.onnx_graph", graph_of)
-    factory = point(base=lambda num_envs=1: PixelPoint([num_envs]), inputs=["pixels", "goal"])
-    if sees:
-        export_policy(factory, policy_for(factory), tmp_path / "export")
-    else:
-        with pytest.raises(ValueError, match=r"policy\.onnx"):
-            export_policy(factory, policy_for(factory), tmp_path / "export")
+        export_policy(point(), random_policy(point()), tmp_path / "mine")

@@ -12,7 +12,6 @@ from torchrl.data import Bounded
 
 from agents import random_policy
 from benchmarks.deploy.episodes import trainers_episode
-from rrl.algorithms import TD3, mlp
 from rrl.controllers import FunctionController
 from rrl.deploy import Policy
 from rrl.trainers.environment import EnvironmentFactory
@@ -30,10 +29,6 @@ def make(controller, dtype=torch.float32):
     )
 
 
-def policy_for(factory):
-    return random_policy(factory, partial(TD3, network=partial(mlp, hidden=[16, 16])))
-
-
 @pytest.mark.parametrize("batched", [True, False])
 def test_a_function_of_tensors_is_inside(batched, tmp_path):
     torch.manual_seed(0)
@@ -41,7 +36,7 @@ def test_a_function_of_tensors_is_inside(batched, tmp_path):
         FunctionController, nn.Linear(2, 2), ["position"], numpy=False, batched=batched
     )
     factory = make(controller)
-    policy = policy_for(factory)
+    policy = random_policy(factory)
     content = export_policy(factory, policy, tmp_path / "export")
     assert content["controller"]["why_outside"] is None
     exported = Policy(tmp_path / "export")
@@ -71,7 +66,7 @@ class Law:
 )
 def test_a_function_outside_says_why(function, why, dtype, tmp_path):
     factory = make(partial(FunctionController, function, ["position"]), dtype)
-    content = export_policy(factory, policy_for(factory), tmp_path / "export")
+    content = export_policy(factory, random_policy(factory), tmp_path / "export")
     assert content["controller"]["why_outside"] == why
     entries = {entry["name"]: entry["dtype"] for entry in content["entries"]}
     assert entries == {"position": "float32", "base_action": "float32"}
