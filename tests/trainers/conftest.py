@@ -84,6 +84,13 @@ def make_trainer(factory, settings, tmp_path):
     return make
 
 
+@pytest.fixture
+def make_tested(make_trainer):
+    """The same with the default test of what a run hands over, on enough episodes to pass it."""
+    evaluation = EvaluationSettings(every=100, episodes=20, final_episodes=20, slots=10)
+    return partial(make_trainer, acceptance=AcceptanceSettings(), evaluation=evaluation)
+
+
 @pytest.fixture(autouse=True)
 def _single_thread():
     threads = torch.get_num_threads()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from agents import last_linear
+from candidates import AGAINST, consider, follow, say
 from rrl.algorithms import TD3, mlp
 from rrl.robot import RobotFault
 from rrl.trainers import AcceptanceSettings, EvaluationSettings
@@ -24,20 +24,7 @@ from rrl.trainers.report.tables import one_run, success_rows
 from rrl.trainers.seeds import Stream, first_seed
 from rrl.trainers.training.schedule import episodes_ahead
 from runs import assert_same
-from toy_envs import DRIFT, STEP_SIZE, PointMass
-
-DEFAULT = AcceptanceSettings()
-EPISODES = EvaluationSettings(every=100, episodes=20, final_episodes=20, slots=10)
-
-
-def say(trainer, x):
-    """Have the learner's policy say ``x`` along the drift, whatever it reads."""
-    layer = last_linear(trainer.agent.policy)
-    with torch.no_grad():
-        layer.weight.zero_()
-        layer.bias.zero_()
-        layer.bias[0] = float(np.arctanh(x))
-    trainer.agent.num_updates = 1
+from toy_envs import DRIFT, PointMass
 
 
 def action(policy, trainer):
@@ -46,32 +33,12 @@ def action(policy, trainer):
     return policy(env.reset())["action"][0].detach()
 
 
-def consider(trainer, env_steps):
-    """Evaluate the learner's policy on the followed episodes, and let it be tested."""
-    found = trainer.evaluator.compare(
-        trainer.agent.policy, "drift", Stream.FOLLOWING, EPISODES.episodes
-    )
-    return trainer.acceptance.consider(found, env_steps)
-
-
-@pytest.fixture
-def make(make_trainer):
-    """Builds a trainer with the default test."""
-
-    def make(run_dir="run", **changes):
-        return make_trainer(run_dir, **{"acceptance": DEFAULT, "evaluation": EPISODES, **changes})
-
-    return make
-
-
 STUBBORN = partial(TD3, network=partial(mlp, hidden=[16]), gamma=0.9, actor_lr=1e-12)
 """A learner that stays with what it was told to say."""
-AGAINST = -DRIFT / STEP_SIZE
-"""What solves every episode: it removes the drift."""
 
 
-def test_until_a_policy_passes_the_run_hands_over_the_controller(make):
-    with make() as trainer:
+def test_until_a_policy_passes_the_run_hands_over_the_controller(make_tested):
+    with make_tested() as trainer:
         found, values = consider(trainer, 0)  # it has learned nothing, and is the controller
         assert values["acceptance/episodes"] == 0
         assert (action(trainer.policy, trainer) == 0).all()
@@ -86,8 +53,8 @@ def test_until_a_policy_passes_the_run_hands_over_the_controller(make):
         torch.testing.assert_close(action(trainer.policy, trainer), torch.tensor([AGAINST, 0.0]))
 
 
-def test_what_was_handed_over_is_played_once_more_after_a_resume(make):
-    with make() as trainer:
+def test_what_was_handed_over_is_played_once_more_after_a_resume(make_tested):
+    with make_tested() as trainer:
         trainer.acceptance.handed_over.take(50)
         trainer.acceptance.load_state_dict(trainer.acceptance.state_dict())
         played = []
@@ -100,11 +67,11 @@ def test_what_was_handed_over_is_played_once_more_after_a_resume(make):
         trainer.evaluator._play = counted
         ahead = episodes_ahead(trainer.settings, trainer.evaluator, trainer.acceptance, 100)
         consider(trainer, 200)
-    assert sum(played) == ahead["in evaluations"] == 3 * EPISODES.episodes
+    assert sum(played) == ahead["in evaluations"] == 3 * 20
 
 
-def test_what_the_learner_becomes_afterwards_changes_nothing(make, tmp_path):
-    with make() as trainer:
+def test_what_the_learner_becomes_afterwards_changes_nothing(make_tested):
+    with make_tested() as trainer:
         say(trainer, AGAINST)
         good, _ = consider(trainer, 100)
         for x in (0.9, 0.0, -0.2):  # worse than the controller, as good, better by less
@@ -115,7 +82,7 @@ def test_what_the_learner_becomes_afterwards_changes_nothing(make, tmp_path):
             assert found.accepted_env_steps == 100
         expected = action(trainer.policy, trainer)
         state = trainer.acceptance.state_dict()
-        with make("other") as other:
+        with make_tested("other") as other:
             say(other, 0.5)
             other.acceptance.load_state_dict(state)
             assert torch.equal(action(other.policy, other), expected)
@@ -128,7 +95,7 @@ def test_what_the_learner_becomes_afterwards_changes_nothing(make, tmp_path):
             assert torch.equal(action(other.agent.policy, other), expected)
 
 
-def test_a_policy_that_promises_more_and_is_worse_is_not_taken(make, factory):
+def test_a_policy_that_promises_more_and_is_worse_is_not_taken(make_tested, factory):
     """It is chosen by episodes that are not the ones it is tested on."""
 
     class Deceiving(PointMass):
@@ -139,17 +106,20 @@ def test_a_policy_that_promises_more_and_is_worse_is_not_taken(make, factory):
             following = seed is not None and seed >> 29 == Stream.FOLLOWING
             self._drift = torch.tensor([DRIFT if following else 0.0, 0.0])
 
-    with make(environment=replace(factory, base=lambda num_envs=1: Deceiving([num_envs]))) as made:
+    environment = replace(factory, base=lambda num_envs=1: Deceiving([num_envs]))
+    with make_tested(environment=environment) as made:
         say(made, AGAINST)
         found, values = consider(made, 100)
         assert found.residual.success.mean() > found.controller.success.mean()
         assert values["acceptance/episodes"] > 0
         assert values["acceptance/accepted"] == 0
-        assert values["acceptance/alpha_left"] < DEFAULT.alpha
+        assert values["acceptance/alpha_left"] < AcceptanceSettings().alpha
         assert (action(made.policy, made) == 0).all()
 
 
-def test_a_policy_that_the_robot_answers_with_faults_is_not_taken(make, factory, monkeypatch):
+def test_a_policy_that_the_robot_answers_with_faults_is_not_taken(
+    make_tested, factory, monkeypatch
+):
     """Without them it would solve every episode, as it does the followed ones."""
     monkeypatch.setattr(rollout, "RETRY", 0.0)
 
@@ -174,7 +144,7 @@ def test_a_policy_that_the_robot_answers_with_faults_is_not_taken(make, factory,
         batching="serial",
         disturbances=[],
     )
-    with make(environment=environment) as made:
+    with make_tested(environment=environment) as made:
         say(made, 0.4)
         found, values = consider(made, 100)
         assert found.residual.success.all()
@@ -185,11 +155,11 @@ def test_a_policy_that_the_robot_answers_with_faults_is_not_taken(make, factory,
         assert values["acceptance/accepted"] == 0
 
 
-def test_of_two_that_solve_as_much_the_one_within_its_budgets_is_better(make):
+def test_of_two_that_solve_as_much_the_one_within_its_budgets_is_better(make_tested):
     how = {"push": Metric(reduce="max", budget=1.0)}
-    with make() as trainer:
+    with make_tested() as trainer:
         say(trainer, AGAINST)
-        found = trainer.evaluator.compare(trainer.agent.policy, "drift", Stream.FOLLOWING, 20)
+        found = follow(trainer)
         taken = []
         for push, lost in ((2.0, 0.0), (0.5, 1.0), (0.5, 2.0), (2.0, 0.0)):
             pushes, returns = np.full(20, push), found.residual.returns - lost
@@ -210,9 +180,9 @@ class Logged(PointMass):
         super()._set_seed(seed)
 
 
-def test_no_candidate_sees_an_episode_that_anything_has_seen_before(make, factory):
+def test_no_candidate_sees_an_episode_that_anything_has_seen_before(make_tested, factory):
     environment = replace(factory, base=lambda num_envs=1: Logged([num_envs]))
-    with make(environment=environment, seed=3) as trainer:
+    with make_tested(environment=environment, seed=3) as trainer:
         Logged.seeds.clear()
         played = 0
         for n, x in enumerate((-0.2, -0.4, AGAINST)):
@@ -226,96 +196,9 @@ def test_no_candidate_sees_an_episode_that_anything_has_seen_before(make, factor
         assert sorted(seeds) == list(range(first, first + played, 10))  # ten slots side by side
 
 
-class Silent(PointMass):
-    """Reports no success."""
-
-    def __init__(self, *args, **kwargs):
-        super().__init__(*args, **kwargs)
-        del self.observation_spec["success"]
-
-    def _observe(self):
-        return {k: v for k, v in super()._observe().items() if k != "success"}
-
-
-class Restless(PointMass):
-    """Starts where a generator of its own says, whatever its seed is."""
-
-    def _set_seed(self, seed):
-        pass
-
-
-@pytest.mark.parametrize("kind", [Silent, Restless])
-def test_returns_stand_in_for_success_and_independent_samples_for_pairs(make, factory, kind):
-    environment = replace(factory, base=lambda num_envs=1: kind([num_envs]))
-    with make(environment=environment) as trainer:
-        say(trainer, 0.5)
-        _, values = consider(trainer, 100)
-        assert values["acceptance/accepted"] == 0
-        say(trainer, AGAINST)
-        found, values = consider(trainer, 200)
-        assert values["acceptance/accepted"] == 1
-        assert found.frozen == (kind is Silent)
-        assert (found.residual.success is None) == (kind is Silent)
-
-
-def test_a_return_of_the_controller_that_is_no_number_does_not_end_the_tests(make, factory):
-    environment = replace(factory, base=lambda num_envs=1: Silent([num_envs]))
-    with make(environment=environment) as trainer:
-        say(trainer, AGAINST)
-        found = trainer.evaluator.compare(trainer.agent.policy, "drift", Stream.FOLLOWING, 20)
-        found.controller.returns[3] = np.nan
-        _, values = trainer.acceptance.consider(found, 100)
-        assert values["acceptance/episodes"] > 0
-        assert values["acceptance/accepted"] == 1
-        found.residual.returns[5] = np.nan  # it promises nothing that can be told
-        _, values = trainer.acceptance.consider(found, 200)
-        assert values["acceptance/episodes"] == 0
-
-
-class Treacherous(Silent):
-    """In one test episode of eight it is dear to be where the drift keeps the controller away."""
-
-    def _set_seed(self, seed):
-        super()._set_seed(seed)
-        numbers = (seed or 0) + torch.arange(self.batch_size.numel())
-        self._dear = (numbers >> 29 == Stream.ACCEPTANCE) & (numbers % 8 == 0)
-
-    def _step(self, tensordict):
-        out = super()._step(tensordict)
-        there = (self._goal - self._position)[:, 0].abs() < DRIFT / 2
-        out["reward"] -= 10.0 * (there & self._dear).unsqueeze(-1)
-        return out
-
-
-@pytest.mark.parametrize("seen", [True, False])
-def test_a_loss_counts_down_to_the_worst_that_the_run_has_seen(make, factory, seen):
-    environment = replace(factory, base=lambda num_envs=1: Treacherous([num_envs]))
-    with make(environment=environment) as trainer:
-        say(trainer, AGAINST)
-        lucky = trainer.evaluator.compare(trainer.agent.policy, "drift", Stream.FOLLOWING, 20)
-        assert lucky.residual.returns.mean() > lucky.controller.returns.mean()
-        if seen:
-            trainer.acceptance.notice({"train/least_return": -100.0})
-        _, values = trainer.acceptance.consider(lucky, 100)
-        assert values["acceptance/episodes"] > 0
-        assert values["acceptance/accepted"] == (not seen)
-        least = trainer.acceptance.state_dict()["least_return"]
-        assert least < lucky.residual.returns.min()  # its own episodes teach the next test
-
-
-def test_what_the_least_return_was_is_told_by_collections_and_kept(make):
-    with make(total_steps=200) as trainer:
-        trainer.run()
-        record = read_metrics(trainer.run_dir)
-        least = [value for _, value in record["train/least_return"]]
-        means = [value for _, value in record["train/return"]]
-        assert all(a <= b for a, b in zip(least, means, strict=True))
-        assert trainer.acceptance.state_dict()["least_return"] <= min(least)
-
-
-def test_a_run_reports_both_the_latest_policy_and_what_it_hands_over(make, tmp_path, caplog):
+def test_a_run_reports_both_the_latest_policy_and_what_it_hands_over(make_tested, tmp_path, caplog):
     caplog.set_level(logging.INFO, "rrl")
-    with make(total_steps=300, agent=STUBBORN) as trainer:
+    with make_tested(total_steps=300, agent=STUBBORN) as trainer:
         say(trainer, AGAINST)
         consider(trainer, 100)
         say(trainer, 0.9)  # of the learner; it is worse than the controller
@@ -340,9 +223,9 @@ def test_a_run_reports_both_the_latest_policy_and_what_it_hands_over(make, tmp_p
     assert handed_over.summary()["success"] == summary["accepted_success"]
 
 
-def test_a_run_in_which_no_policy_passes_says_so(make):
+def test_a_run_in_which_no_policy_passes_says_so(make_tested):
     only_at_the_end = EvaluationSettings(every=0, final_episodes=10)
-    with make(total_steps=120, agent=STUBBORN, evaluation=only_at_the_end) as made:
+    with make_tested(total_steps=120, agent=STUBBORN, evaluation=only_at_the_end) as made:
         say(made, 0.9)
         results = made.run()
         assert (action(made.policy, made) == 0).all()
@@ -353,9 +236,9 @@ def test_a_run_in_which_no_policy_passes_says_so(make):
     assert [step for step, _ in record["acceptance/episodes"]] == [120]  # at the end alone
 
 
-def test_without_a_test_the_latest_policy_is_handed_over(make, caplog):
+def test_without_a_test_the_latest_policy_is_handed_over(make_tested, caplog):
     caplog.set_level(logging.INFO, "rrl")
-    with make(acceptance=AcceptanceSettings(enabled=False)) as trainer:
+    with make_tested(acceptance=AcceptanceSettings(enabled=False)) as trainer:
         results = trainer.run()
         assert trainer.policy is trainer.agent.policy
     assert results["drift"].accepted is None
