@@ -1,9 +1,11 @@
-"""Runs that were stopped, and a disk of its own."""
+"""Runs that were stopped, short files of frames, and a disk of its own."""
 
 import subprocess
 from functools import partial
 
 import pytest
+
+from rrl.trainers.storage import frame_log
 
 
 @pytest.fixture
@@ -18,6 +20,12 @@ def stopped(make, tmp_path):
     trainer.run()
     trainer.close()
     return tmp_path / "run"
+
+
+@pytest.fixture
+def short_files(monkeypatch):
+    """A file of a log of frames ends after 64 of them."""
+    monkeypatch.setattr(frame_log, "FRAMES_PER_FILE", 64)
 
 
 @pytest.fixture
