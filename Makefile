@@ -22,7 +22,7 @@ test-ray: $(VENV)/installed         ## experiments on a local Ray
 test-gallery: $(VENV)/installed     ## other people's tasks, whose packages it installs
 	$(BIN)/pip install --disable-pip-version-check --quiet --constraint constraints.txt --editable ".[gallery]"
 	$(BIN)/pytest tests/envs/test_gallery.py
-	$(BIN)/pytest -m slow tests/trainers/experiments/test_plan.py -k other_peoples
+	$(BIN)/pytest -m slow tests/trainers/experiments/test_shipped_experiments.py -k other_peoples
 
 lint: $(VENV)/installed             ## style and types
 	$(BIN)/ruff check .

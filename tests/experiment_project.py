@@ -6,6 +6,7 @@ from pathlib import Path
 import yaml
 
 from rrl.trainers.experiments.outcomes import Finding
+from rrl.trainers.experiments.spec import Experiment
 
 OURS = Path(__file__).parents[1] / "configs"
 TESTS = Path(__file__).parent
@@ -62,6 +63,8 @@ EXPERIMENT = {
     "arms": {"residual RL": ["arm=residual"]},
     "sweep": {"key": "env.base.drift", "label": "drift [m]", "values": {"tiny": [0.0, 0.06]}},
 }
+SWEEP = {"key": "a.mu", "label": "mu [m]", "values": {"quick": [0.0, 1.0]}}
+ZERO = {"_target_": "rrl.controllers.ZeroController"}
 
 
 def write(path, content):
@@ -81,3 +84,9 @@ def write_project(folder):
 def finding(*outcomes):
     """An experiment of which these outcomes are all that was planned."""
     return Finding(outcomes, tuple(outcome.point for outcome in outcomes))
+
+
+def of(figure, **changes):
+    """An experiment that this figure shows."""
+    sweep = SWEEP if figure == "sweep" else None
+    return Experiment(name="some", title="T", figure=figure, arms={"a": ()}, sweep=sweep, **changes)

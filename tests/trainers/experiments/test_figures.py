@@ -1,6 +1,5 @@
-"""Figures and tables show every arm, and whose controller is whose."""
+"""Figures and the pages around them show every arm, and whose controller is whose."""
 
-import csv
 from dataclasses import replace
 
 import imageio.v3 as iio
@@ -10,22 +9,13 @@ from matplotlib.container import Container
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from experiment_project import finding
+from experiment_project import ZERO, finding, of
 from rrl.trainers.experiments.figures import draw
 from rrl.trainers.experiments.front import front_rows
-from rrl.trainers.experiments.numbers import write_numbers
 from rrl.trainers.experiments.report import Shown, write_results
 from rrl.trainers.experiments.spec import Experiment, Scale, Settings
 from rrl.trainers.experiments.tables import final_rows, followed_rows, outcome_rows, steps_rows
 from rrl.trainers.launch.pool import Ending
-
-SWEEP = {"key": "a.mu", "label": "mu [m]", "values": {"quick": [0.0, 1.0]}}
-ZERO = {"_target_": "rrl.controllers.ZeroController"}
-
-
-def of(figure, **changes):
-    sweep = SWEEP if figure == "sweep" else None
-    return Experiment(name="some", title="T", figure=figure, arms={"a": ()}, sweep=sweep, **changes)
 
 
 def labels(figure, found, folder, **changes):
@@ -87,21 +77,6 @@ def test_the_title_says_how_many_seeds_there_are(outcome, figure, counts, said, 
     made = [outcome(arm=str(count)) for count in counts]
     some = [replace(o, runs=o.runs[:n]) for o, n in zip(made, counts, strict=True)]
     assert said in labels(figure, finding(*some), tmp_path)
-
-
-def test_what_is_not_paired_has_fishers_test(outcome):
-    changes = {"rescues": 5, "regressions": 0, "mcnemar_p": 0.06}
-    loose = {"success": 0.75, "controller_success": 0.1, "fisher_p": 0.03}
-    found = outcome(scenarios={"misaligned": loose})
-    for run in found.runs:
-        for entry in changes:
-            del run.results["misaligned"]["summary"][entry]
-    experiment = Experiment(name="one", title="", paper="", figure="table", arms={"a": ()})
-    header, (row,) = outcome_rows(experiment, finding(found))
-    cells = dict(zip(header, row, strict=True))
-    assert cells["rescued / broken"] == "not paired"
-    assert cells["McNemar's p, by seed"].endswith("(Fisher's)")
-    assert "0.03" in cells["McNemar's p, by seed"]
 
 
 @pytest.mark.parametrize("silent_first", [True, False])
@@ -269,62 +244,6 @@ def test_arms_of_a_front_may_have_scenarios_of_their_own(outcome, tmp_path):
     assert "| dark | seeing |" in page(of("table"), found)
 
 
-def test_an_arm_that_acts_alone_is_compared_with_no_controller(outcome, tmp_path):
-    alone, helped = outcome("RL alone"), outcome("residual RL")
-    alone.point.config["controller"] = ZERO
-    _, rows = outcome_rows(of("table"), finding(alone, helped))
-    assert rows[0][4:] == ["none", "", "", ""]
-    assert rows[1][4].startswith("2 of 20")
-    path = write_numbers(of("table"), finding(alone, helped), tmp_path / "numbers.csv")
-    with path.open(newline="") as file:
-        numbers = [row for row in csv.DictReader(file) if row["evaluation"] == "final"]
-    assert [row["arm"] for row in numbers if row["rescues"]] == ["residual RL"] * 3
-    assert [row["arm"] for row in numbers if row["controller_return"]] == ["residual RL"] * 3
-    assert all(row["latest_success"] for row in numbers)
-
-
-def test_rows_of_a_sweep_name_the_setting(outcome):
-    experiment = of("sweep", evaluated_at=(500,))
-    found = finding(outcome(value=0.0), outcome(value=1.0))
-    for rows in (steps_rows, followed_rows):
-        header, (first, second) = rows(experiment, found)
-        assert header[:2] == ["arm", "mu"]
-        assert (first[1], second[1]) == ("0", "1")
-        assert len(first) == len(header)
-
-
-def test_one_seed_has_no_interval(outcome):
-    made = outcome()
-    experiment, found = of("table"), finding(replace(made, runs=made.runs[:1]))
-    _, (row,) = final_rows(experiment, found)
-    assert row[2] == "-2.00 (one run)"
-    assert not any("nan" in cell for cell in row)
-
-
 def test_a_return_that_is_no_number_does_not_end_the_figure(outcome, tmp_path):
     made = without_success(outcome(curves={"return": [-4.0, np.nan, -2.0]}))
     assert "<!-- latest policy -->" in labels("tasks", finding(made), tmp_path)
-
-
-def test_scenarios_may_be_paired_or_not(outcome):
-    made = outcome(scenarios={"frozen": {}, "loose": {"fisher_p": 0.03}})
-    for run in made.runs:
-        for entry in ("rescues", "regressions", "mcnemar_p"):
-            del run.results["loose"]["summary"][entry]
-    _, rows = outcome_rows(of("table"), finding(made))
-    assert [row[-2] for row in rows] == ["15 / 0", "not paired"]
-
-
-def test_seeds_that_found_the_episodes_frozen_stand_beside_others(outcome):
-    made = outcome(scenarios={"misaligned": {"success": 0.75, "controller_success": 0.1}})
-    record = made.runs[0].results["misaligned"]
-    record["episodes"]["controller_success"] = [i < 4 for i in range(20)]
-    loose = record["summary"]
-    loose |= {"fisher_p": 0.03, "controller_success": 0.2}
-    for entry in ("rescues", "regressions", "mcnemar_p"):
-        del loose[entry]
-    header, (row,) = outcome_rows(of("table"), finding(made))
-    cells = dict(zip(header, row, strict=True))
-    assert cells["rescued / broken"] == "not paired"
-    assert cells["controller"].startswith("4/2/2 of 20")
-    assert cells["McNemar's p, by seed"].count("Fisher's") == 1
