@@ -11,13 +11,11 @@ from itertools import chain
 from pathlib import Path
 from types import SimpleNamespace
 
-import nbformat
 import numpy as np
 import pytest
 import torch
 import yaml
 from hydra import compose, initialize_config_module
-from nbclient import NotebookClient
 from omegaconf import OmegaConf
 
 from agents import random_policy
@@ -37,7 +35,6 @@ EXTRAS = {"metaworld": "metaworld", "fetch": "gymnasium_robotics", "robosuite": 
 """Modules of rrl.envs.gallery, and the packages that they need."""
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", ROOT / "examples/README.md", *sorted((ROOT / "docs").glob("*.md"))]
-TUTORIAL = ROOT / "docs/tutorial.ipynb"
 
 
 RUN_ELSEWHERE = {("python", "robot.md"), ("yaml", "robot.md")}
@@ -275,31 +272,6 @@ def check_python(arguments, *_):
 def test_links_lead_somewhere(document):
     for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", document.read_text()):
         assert (document.parent / target).exists(), target
-
-
-@pytest.mark.slow
-def test_the_tutorial_runs(tmp_path):
-    notebook = nbformat.read(TUTORIAL, as_version=4)
-    before = words_shown(notebook)
-    NotebookClient(notebook, timeout=250, resources={"metadata": {"path": tmp_path}}).execute()
-    assert words_shown(notebook) == before
-    printed = "".join(o.get("text", "") for cell in notebook.cells for o in cell.get("outputs", []))
-    rescued, broken = map(int, re.search(r"rescued: (\d+)  broken: (\d+)", printed).groups())
-    assert rescued > 20 > broken  # of 40 episodes
-
-
-def words_shown(notebook):
-    """What the outputs say apart from numbers, which another processor rounds otherwise."""
-    outputs = [o for cell in notebook.cells for o in cell.get("outputs", [])]
-    texts = [o.get("text") or o["data"].get("text/markdown", "") for o in outputs]
-    return set(re.findall(r"[a-z_]+", "".join(texts).lower()))
-
-
-def test_the_tutorial_shows_what_it_gives():
-    notebook = nbformat.read(TUTORIAL, as_version=4)
-    outputs = [o for cell in notebook.cells for o in cell.get("outputs", [])]
-    assert sum("image/png" in o.get("data", {}) for o in outputs) == 2
-    assert not [o for o in outputs if o.output_type == "error" or o.get("name") == "stderr"]
 
 
 @pytest.mark.slow
