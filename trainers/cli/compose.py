@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
+from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -214,11 +215,16 @@ def _prepare(folder: Path | None = None) -> None:
 
 
 def _require_choices(overrides: Sequence[str]) -> None:
-    """Refuse null in the place of a group's file, which Hydra does without naming the group."""
+    """Refuse null in the place of a group's file, and a second one, in better words than Hydra."""
+    defaults = yaml.safe_load((OURS / f"{PRIMARY}.yaml").read_text(encoding="utf-8"))["defaults"]
+    chosen = ChainMap(*(entry for entry in defaults if isinstance(entry, dict)))
     for override in overrides:
-        group, _, choice = override.partition("=")
-        if choice == "null" and (OURS / group).is_dir():
-            raise ValueError(f"{group}: expected one of its files, or ~{group} for none, got null")
+        key, _, choice = override.partition("=")
+        group = key.lstrip("+")
+        if choice == "null" and key in chosen:
+            raise ValueError(f"{key}: expected one of its files, or ~{key} for none, got null")
+        if group != key and group in chosen:
+            raise ValueError(f"{group}: expected {group}={choice} to exchange it, got {override}")
 
 
 @_in_our_words()

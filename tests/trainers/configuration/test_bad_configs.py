@@ -24,7 +24,8 @@ BROKEN = {
     "+trainer.gpu=cuda": ["trainer.gpu: unknown key", "cuda"],
     "+render.colour=red": ["render.colour: unknown key", "red"],
     "+env.inptus.goal={}": ["env.inptus: unknown key"],
-    "+speed=fast": ["speed: unknown key", "fast"],
+    "+speed=fast": ["speed: expected speed=fast to exchange it, got +speed=fast"],
+    "++algorithm=sac": ["algorithm: expected algorithm=sac to exchange it", "++algorithm=sac"],
     "+algorithm.agent.learning_rate=0.1": [AGENT, "does not take 'learning_rate'", "actor_lr"],
     "+algorithm.exploration.thetta=0.1": [
         "algorithm.exploration",
