@@ -223,7 +223,8 @@ def _require_choices(overrides: Sequence[str]) -> None:
         group = key.lstrip("+")
         if choice == "null" and key in chosen:
             raise ValueError(f"{key}: expected one of its files, or ~{key} for none, got null")
-        if group != key and group in chosen:
+        is_second = group != key and group in chosen and f"~{group}" not in overrides
+        if is_second and not choice.startswith("{"):
             raise ValueError(f"{group}: expected {group}={choice} to exchange it, got {override}")
 
 
