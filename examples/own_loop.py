@@ -1,4 +1,4 @@
-"""Only the transforms: a residual in TorchRL's own collector, replay buffer and loss, without our trainer."""
+"""Transforms and loss alone: a residual in TorchRL's own collector and replay buffer, without our trainer."""
 
 import torch
 from point import Point
@@ -7,10 +7,9 @@ from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs import TransformedEnv
 from torchrl.envs.transforms import CatTensors, Compose
 from torchrl.modules import MLP, AdditiveGaussianModule, SafeModule, SafeSequential
-from torchrl.objectives import DDPGLoss, SoftUpdate
+from torchrl.objectives import SoftUpdate
 
-from rrl.controllers import ProportionalController
-from rrl.transforms import ControlNoise, ResidualAction
+from rrl import ControlNoise, EnsembleTD3Loss, ProportionalController, ResidualAction
 
 
 def make_env():
@@ -25,7 +24,7 @@ def make_env():
 
 
 def main(total_steps=5000):
-    """Train by DDPG and return the mean reward of the last collection."""
+    """Train by TD3 with five critics and return the mean reward of the last collection."""
     env = make_env()
     network = torch.nn.Sequential(
         MLP(in_features=6, out_features=2, num_cells=[64, 64]), torch.nn.Tanh()
@@ -36,17 +35,19 @@ def main(total_steps=5000):
         ["observation", "action"],
         ["state_action_value"],
     )
-    loss = DDPGLoss(actor, critic, delay_actor=True, delay_value=True)
+    loss = EnsembleTD3Loss(
+        actor, critic, num_qvalue_nets=5, action_spec=env.action_spec, delay_actor=True
+    )
     loss.make_value_estimator(gamma=0.9)
     targets = SoftUpdate(loss, tau=0.01)
     optimizer = torch.optim.Adam(loss.parameters(), lr=1e-3)
     buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(total_steps), batch_size=64)
-    behaviour = SafeSequential(
+    behavior = SafeSequential(
         actor, AdditiveGaussianModule(env.action_spec, sigma_init=0.3, sigma_end=0.3)
     )
     collector = Collector(
         env,
-        behaviour,
+        behavior,
         frames_per_batch=20,
         total_frames=total_steps,
         auto_register_policy_transforms=False,
@@ -55,7 +56,7 @@ def main(total_steps=5000):
         buffer.extend(data.reshape(-1))
         for _ in range(20):
             losses = loss(buffer.sample())
-            (losses["loss_actor"] + losses["loss_value"]).backward()
+            (losses["loss_actor"] + losses["loss_qvalue"]).backward()
             optimizer.step()
             optimizer.zero_grad()
             targets.step()
