@@ -22,7 +22,7 @@ def main(run_dir="outputs/budget", budget=0.8, **settings):
         batching="serial",
         metrics={"effort": Metric(reduce="max", budget=budget)},
     )
-    with Trainer(TrainerSettings(**settings), environment, run_dir=run_dir) as trainer:
+    with Trainer(environment, TrainerSettings(**settings), run_dir=run_dir) as trainer:
         return trainer.run()["training"].summary()
 
 

@@ -36,7 +36,7 @@ def main(run_dir="outputs/composer_task", **settings):
         batching="serial",
         max_episode_steps=250,
     )
-    with Trainer(TrainerSettings(**settings), environment, run_dir=run_dir) as trainer:
+    with Trainer(environment, TrainerSettings(**settings), run_dir=run_dir) as trainer:
         return trainer.run()["training"].summary()
 
 

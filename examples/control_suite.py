@@ -24,7 +24,7 @@ def main(run_dir="outputs/control_suite", **settings):
         inputs=["position", "velocity"],
         batching="serial",
     )
-    with Trainer(TrainerSettings(**settings), environment, run_dir=run_dir) as trainer:
+    with Trainer(environment, TrainerSettings(**settings), run_dir=run_dir) as trainer:
         return trainer.run()["training"].summary()
 
 

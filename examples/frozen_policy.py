@@ -15,7 +15,7 @@ def main(run_dir="outputs/frozen_policy", **settings):
     point = partial(EnvironmentFactory, Point, inputs=read, batching="serial", max_episode_steps=20)
     alone = point(controller=partial(ZeroController, action_size=2))
     untested = TrainerSettings(**settings | {"acceptance": {"enabled": False}})  # by no controller
-    with Trainer(untested, alone, run_dir=f"{run_dir}/alone") as trainer:
+    with Trainer(alone, untested, run_dir=f"{run_dir}/alone") as trainer:
         trainer.run()
     policy = trainer.policy  # reads position and goal
     torch.save(policy.state_dict(), f"{run_dir}/policy.pt")
@@ -24,7 +24,7 @@ def main(run_dir="outputs/frozen_policy", **settings):
         controller=partial(PolicyController, policy, f"{run_dir}/policy.pt"), residual_scale=0.5
     )
     with Trainer(
-        TrainerSettings(**settings), environment, run_dir=f"{run_dir}/residual"
+        environment, TrainerSettings(**settings), run_dir=f"{run_dir}/residual"
     ) as trainer:
         return trainer.run()["training"].summary()
 

@@ -27,7 +27,7 @@ def main(run_dir="outputs/gymnasium_pd", **settings):
         batching="serial",
         max_episode_steps=200,
     )
-    with Trainer(TrainerSettings(**settings), environment, run_dir=run_dir) as trainer:
+    with Trainer(environment, TrainerSettings(**settings), run_dir=run_dir) as trainer:
         return trainer.run()["training"].summary()
 
 

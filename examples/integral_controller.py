@@ -28,7 +28,7 @@ def main(run_dir="outputs/integral_controller", **settings):
     keys = ["position", "goal"]
     serial = partial(EnvironmentFactory, batching="serial", max_episode_steps=20)
     environment = serial(Point, partial(Integral, keys), [*keys, "base_action"])
-    with Trainer(TrainerSettings(num_envs=2, **settings), environment, run_dir=run_dir) as trainer:
+    with Trainer(environment, TrainerSettings(num_envs=2, **settings), run_dir=run_dir) as trainer:
         return trainer.run()["training"].summary()
 
 

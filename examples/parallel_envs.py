@@ -17,7 +17,7 @@ def main(run_dir="outputs/parallel_envs", **settings):
         inputs=["position", "goal"],
         batching="parallel",
     )
-    with Trainer(TrainerSettings(num_envs=2, **settings), environment, run_dir=run_dir) as trainer:
+    with Trainer(environment, TrainerSettings(num_envs=2, **settings), run_dir=run_dir) as trainer:
         return trainer.run()["training"].summary()
 
 

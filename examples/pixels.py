@@ -36,7 +36,7 @@ def main(run_dir="outputs/pixels", **settings):
         inputs=["pixels", "position", "velocity"],  # not to_target
         batching="serial",
     )
-    with Trainer(TrainerSettings(**settings), environment, run_dir=run_dir) as trainer:
+    with Trainer(environment, TrainerSettings(**settings), run_dir=run_dir) as trainer:
         return trainer.run()["training"].summary()
 
 

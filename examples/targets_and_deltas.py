@@ -35,7 +35,7 @@ def main(run_dir="outputs/targets_and_deltas", **settings):
     results = {}
     for name, environment in environments.items():
         folder = f"{run_dir}/{name}"
-        with Trainer(TrainerSettings(**settings), environment, run_dir=folder) as trainer:
+        with Trainer(environment, TrainerSettings(**settings), run_dir=folder) as trainer:
             results[name] = trainer.run()["training"].summary()
     return results
 

@@ -67,7 +67,7 @@ class EnvironmentFactory:
         disturbances: Make the transforms of the executed action (control noise).
         sensing: Make the transforms of the observation entries (camera noise, latency).
         safety: Make the transforms that limit what reaches the environment; by default no command
-            that is not a number does.
+            that is not a number does, and zeros do in its place (``configs/safety/none.yaml``).
         residual_scale: Authority of the residual, in half ranges of the action, one number or one
             for each dimension.
         batching: ``native`` for an environment with a batch size of its own, ``serial`` to run
@@ -93,7 +93,7 @@ class EnvironmentFactory:
     critic_inputs: Mapping[str, Input] | Sequence[str] | None = None
     disturbances: Sequence[Callable[[], Transform]] = ()
     sensing: Sequence[Callable[[], Transform]] = ()
-    safety: Sequence[Callable[[], Transform]] = (FiniteAction,)
+    safety: Sequence[Callable[[], Transform]] = (partial(FiniteAction, "zero"),)
     residual_scale: float | Sequence[float] = 0.5
     batching: Batching = "native"
     max_episode_steps: int = 1000

@@ -147,7 +147,7 @@ class TrainerSettings(_Settings):
     Attributes:
         seed: Of everything random in the run.
         num_seeds: How many runs ``rrl train`` starts, with seeds ``seed`` to
-            ``seed + num_seeds - 1``; a :class:`Trainer` trains one.
+            ``seed + num_seeds - 1``; a :class:`Trainer` takes 1.
         num_envs: Environments that the learner collects from.
         device: Where networks and replay buffer lie, such as ``cpu`` or ``cuda``.
         total_steps: Environment steps of the run.

@@ -69,8 +69,8 @@ def make_trainer(tmp_path):
 
     def make(environment, run_dir="run", loggers=(), scenarios=None, **changes):
         return Trainer(
-            TrainerSettings(**{**SETTINGS, **changes}),
             environment,
+            TrainerSettings(**{**SETTINGS, **changes}),
             partial(TD3, network=partial(mlp, hidden=(16,))),
             partial(AdditiveGaussianModule, sigma_init=0.3, sigma_end=0.3),
             tmp_path / run_dir,

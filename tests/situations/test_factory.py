@@ -11,7 +11,7 @@ from torchrl.data import Composite, Unbounded
 from rrl.controllers import ZeroController
 from rrl.envs import InsertionEnv, RobotEnv, gymnasium_env
 from rrl.robot import Description, EntrySpec, Observation, Robot
-from rrl.trainers import EnvironmentFactory, Trainer
+from rrl.trainers import EnvironmentFactory, Trainer, TrainerSettings
 from rrl.transforms import StepLimit
 from situation_envs import Machine
 
@@ -107,20 +107,28 @@ def test_gymnasium_s_environment_fits(factory):
 
 def test_a_folder_in_the_learner_s_place_is_named(factory, tmp_path):
     with pytest.raises(TypeError, match="agent: expected what makes a learner, or None, got 'out'"):
-        Trainer(None, factory(Machine), "out", run_dir=tmp_path)
+        Trainer(factory(Machine), None, "out", run_dir=tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"seed": 1}, r"settings: expected TrainerSettings\(...\) or None, got {'seed': 1}"),
-        (None, ""),
-    ],
-)
-def test_something_else_than_settings_and_a_factory_is_named(tmp_path, settings, message):
-    expected = message or r"environment: expected EnvironmentFactory\(...\), got <class"
-    with pytest.raises(TypeError, match=expected):
-        Trainer(settings, Machine, run_dir=tmp_path)
+def test_something_else_than_a_factory_and_settings_is_named(factory, tmp_path):
+    with pytest.raises(
+        TypeError, match=r"settings: expected TrainerSettings\(...\) or None, got {"
+    ):
+        Trainer(factory(Machine), {"seed": 1}, run_dir=tmp_path)
+    with pytest.raises(TypeError, match=r"environment: expected EnvironmentFactory.*, got <class"):
+        Trainer(Machine, run_dir=tmp_path)
+
+
+@pytest.mark.parametrize(("settings", "got"), [(None, "None"), (TrainerSettings(), "TrainerS.*")])
+def test_settings_before_the_environment_are_named(factory, tmp_path, settings, got):
+    with pytest.raises(TypeError, match=rf"^environment: .*, got {got}; it comes before the sett"):
+        Trainer(settings, factory(Machine), run_dir=tmp_path)
+
+
+def test_a_trainer_refuses_the_seeds_of_several_runs(factory, tmp_path):
+    expected = r"^num_seeds: expected 1, .* got 5; .*`rrl train trainer.num_seeds=5`"
+    with pytest.raises(ValueError, match=expected):
+        Trainer(factory(Machine), TrainerSettings(num_seeds=5), run_dir=tmp_path)
 
 
 @pytest.mark.parametrize(("batching", "batch_size"), [("serial", [3]), ("native", [3])])

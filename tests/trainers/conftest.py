@@ -72,8 +72,8 @@ def make_trainer(factory, settings, tmp_path):
     ):
         environment = environment or factory
         return Trainer(
-            settings(**changes),
             environment,
+            settings(**changes),
             agent or partial(TD3, network=partial(mlp, hidden=[32, 32]), gamma=0.9),
             exploration or partial(AdditiveGaussianModule, sigma_init=0.3, sigma_end=0.3),
             tmp_path / run_dir,

@@ -101,7 +101,6 @@ def trainer(config: Config, run_dir: Path, progress: Progress | None = None) -> 
     """
     check(config, training=True, new=not saved_note(run_dir))
     return Trainer(
-        settings(config),
         environment(config),
         agent(config),
         build(config["algorithm"]["exploration"]),
@@ -112,6 +111,7 @@ def trainer(config: Config, run_dir: Path, progress: Progress | None = None) -> 
         progress=progress,
     )
 
+        settings(config),
 
 def check(config: Config, *, training: bool = False, new: bool = False) -> None:
     """Find what is wrong with a configuration before any environment is built.

@@ -89,17 +89,27 @@ def default_agent(environment: EnvironmentFactory) -> Callable[..., Agent]:
     return agent_factory(default_config()["algorithm"], environment)
 
 
-def settings_of(settings: Any, environment: Any) -> TrainerSettings:
+def settings_of(environment: Any, settings: Any) -> TrainerSettings:
     """Return a trainer's settings, of None the default ones.
 
     Raises:
-        TypeError: If they are something else, or there is no environment's factory beside them.
+        TypeError: If they are something else, or there is no environment's factory before them.
+        ValueError: If they are of several runs.
     """
+    if not isinstance(environment, EnvironmentFactory):
+        got = "TrainerSettings(...)" if isinstance(environment, TrainerSettings) else environment
+        raise TypeError(
+            f"environment: expected EnvironmentFactory(...), got {got}; it comes before the "
+            "settings: Trainer(environment, settings)"
+        )
     settings = TrainerSettings() if settings is None else settings
     if not isinstance(settings, TrainerSettings):
         raise TypeError(f"settings: expected TrainerSettings(...) or None, got {settings!r}")
-    if not isinstance(environment, EnvironmentFactory):
-        raise TypeError(f"environment: expected EnvironmentFactory(...), got {environment!r}")
+    if (seeds := settings.num_seeds) > 1:
+        raise ValueError(
+            f"num_seeds: expected 1, for a Trainer trains one run, got {seeds}; make one with each "
+            f"seed, or call `rrl train trainer.num_seeds={seeds}`"
+        )
     return settings
 
 

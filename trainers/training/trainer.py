@@ -50,8 +50,8 @@ class Trainer(AbstractContextManager["Trainer"]):
     """Trains one residual policy, by default as ``rrl train`` does; ``with`` closes it.
 
     Args:
-        settings: How long, how often, how many.
         environment: Builds the training environment.
+        settings: How long, how often, how many; of one run, so one seed.
         agent: Makes the learner; called with ``inputs`` and ``action_size``.
         exploration: Makes TorchRL's exploration module; called with ``spec``.
         run_dir: Where the run writes.
@@ -64,8 +64,8 @@ class Trainer(AbstractContextManager["Trainer"]):
 
     def __init__(
         self,
-        settings: TrainerSettings | None,
         environment: EnvironmentFactory,
+        settings: TrainerSettings | None = None,
         agent: Callable[..., Agent] | None = None,
         exploration: Exploration | None = None,
         run_dir: Path | str = "outputs/run",
@@ -75,7 +75,7 @@ class Trainer(AbstractContextManager["Trainer"]):
         config: Mapping[str, Any] | None = None,
         progress: Progress | None = None,
     ) -> None:
-        given, self.run_dir = settings_of(settings, environment), Path(run_dir)
+        given, self.run_dir = settings_of(environment, settings), Path(run_dir)
         require_unclaimed(self.run_dir)  # before anything touches a robot that is at work
         lengths = saved_note(self.run_dir).get("lengths")
         self.settings = settings = given.derived(environment.max_episode_steps, lengths)

@@ -291,6 +291,6 @@ def test_a_residual_learns_what_the_controller_does_not_know(algorithm, tmp_path
             acceptance={"enabled": False},
             checkpoint={"every": 0},
         )
-        with Trainer(settings, environment, agent, exploration, tmp_path / str(seed)) as trainer:
+        with Trainer(environment, settings, agent, exploration, tmp_path / str(seed)) as trainer:
             gains.append(trainer.run()["training"].summary()["return_gain"])
     assert stats.ttest_1samp(gains, 0.0, alternative="greater").pvalue < 0.01, gains

@@ -90,7 +90,7 @@ def test_another_learner_is_refused_in_python_too(stopped, make):
 def test_a_configuration_may_hold_anything_and_is_compared(settings, factory, tmp_path):
     def make(**config):
         short, agent = settings(total_steps=40, warmup_steps=20), partial(TD3, network=mlp)
-        return Trainer(short, factory, agent, run_dir=tmp_path / "run", config=config)
+        return Trainer(factory, short, agent, run_dir=tmp_path / "run", config=config)
 
     run(make(data=Path("here"), limits=(1, 2)))
     with make(data=Path("here"), limits=[1, 2]) as trainer:
@@ -108,7 +108,7 @@ def test_what_is_handed_over_was_tested_on_the_followed_scenario(
         tests = AcceptanceSettings(enabled=accepted)
         short = settings(total_steps=40, warmup_steps=20, acceptance=tests)
         config, agent = {"env": {"scenarios": scenarios}}, partial(TD3, network=mlp)
-        return Trainer(short, factory, agent, run_dir=tmp_path / "run", config=config)
+        return Trainer(factory, short, agent, run_dir=tmp_path / "run", config=config)
 
     trainer = make(one={"drift": 0.1})
     if accepted:
@@ -126,7 +126,7 @@ def test_what_is_handed_over_was_tested_on_the_followed_scenario(
 
 def test_no_scenario_is_not_the_training_environment(settings, factory, tmp_path):
     with pytest.raises(ValueError, match="scenarios: expected at least one, got none"):
-        Trainer(settings(), factory, run_dir=tmp_path / "run", scenarios={})
+        Trainer(factory, settings(), run_dir=tmp_path / "run", scenarios={})
 
 
 BASE = {

@@ -1,12 +1,14 @@
 """A run derives what nobody set, says what it derived, and goes on with it."""
 
+import inspect
 from functools import partial
-from pathlib import Path
 
 import pytest
 import yaml
 
 from rrl.algorithms import TD3, mlp
+from rrl.trainers.cli.compose import compose
+from rrl.trainers.configuration import build as assembly
 from rrl.trainers.defaults import default_config
 from rrl.trainers.environment import EnvironmentFactory
 from rrl.trainers.settings import CheckpointSettings
@@ -72,6 +74,14 @@ def test_a_run_that_becomes_longer_keeps_what_it_derived(make_trainer, simulated
     assert derived["warmup_steps"] == 40
 
 
+def called(makes):
+    """What is made, and all its arguments, defaults included."""
+    bound = [(m.func, inspect.signature(m.func).bind(*m.args, **m.keywords)) for m in makes]
+    for _, arguments in bound:
+        arguments.apply_defaults()
+    return [(func, arguments.arguments) for func, arguments in bound]
+
+
 def test_command_line_and_python_share_the_defaults(factory):
     agent = default_agent(factory)(inputs={"position": 3}, action_size=2)
     given = default_config()["algorithm"]["agent"]
@@ -79,6 +89,9 @@ def test_command_line_and_python_share_the_defaults(factory):
     assert given["reward_scale"] is None
     assert agent.gamma == pytest.approx(0.925)
     assert agent.settings.residual_penalty == given["residual_penalty"]
-    text = yaml.safe_load(Path("configs/train.yaml").read_text())["residual_scale"]
-    scale = EnvironmentFactory(base=factory.base, controller=factory.controller, inputs=[])
-    assert text == f"${{oc.select:env.residual_scale,{scale.residual_scale}}}"
+    composed = compose(["env=gallery/cartpole"])  # a task that chooses nothing of its own
+    assert default_config() == {part: composed[part] for part in ("trainer", "algorithm")}
+    python = EnvironmentFactory(base=factory.base, controller=factory.controller, inputs=[])
+    command_line = assembly.environment(composed)
+    assert python.residual_scale == command_line.residual_scale == composed["residual_scale"]
+    assert called(python.safety) == called(command_line.safety)

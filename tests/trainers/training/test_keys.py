@@ -47,7 +47,7 @@ controller = partial(ProportionalController, gain=10.0, clip=0.5)
 factory = EnvironmentFactory(make, controller, ["end_effector_position", "goal"], max_episode_steps=20)
 agent = partial(TD3, network=partial(mlp, hidden=[16]), gamma=0.9)
 try:
-    with Trainer(TrainerSettings(**settings), factory, agent, no_exploration, sys.argv[1]) as trainer:
+    with Trainer(factory, TrainerSettings(**settings), agent, no_exploration, sys.argv[1]) as trainer:
         trainer.run()
 except Interrupted as error:
     sys.exit(128 + error.signal)

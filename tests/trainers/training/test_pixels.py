@@ -84,8 +84,8 @@ def make(tmp_path):
         algorithm, given = LEARNERS[learner]
         explore = partial(AdditiveGaussianModule, sigma_init=0.3, sigma_end=0.3)
         return Trainer(
-            TrainerSettings(**{**settings, **changes}),
             environment,
+            TrainerSettings(**{**settings, **changes}),
             partial(algorithm, **{**SMALL, **given, **(arguments or {})}),
             no_exploration if algorithm is SAC else explore,
             tmp_path / run_dir,
