@@ -4,25 +4,33 @@ import pytest
 import torch
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
+from torch.nn import LayerNorm
+from torchrl.modules import OrnsteinUhlenbeckProcessModule
 
+from rrl.keys import ACTION
+from rrl.n_step import STEPS
 from rrl.trainers.cli.compose import compose as compose_train
 from rrl.trainers.configuration import build as assembly
 
-OF_ALL = [
-    "trainer.updates_per_step=2.0",
-    "trainer.n_step=3",
-    "trainer.controller_steps=20",
-    "algorithm.agent.network.layer_norm=true",
-    "algorithm.agent.critic_burn_in=20",
-    "+env.inputs.base_action={}",
-    "+env.inputs.previous_action={}",
-]
-OF_TD3 = [
-    "algorithm.agent.target_subset=1",
-    "algorithm.agent.num_critics=3",
-    "algorithm.exploration.sigma_end=0.0",
-    "exploration=ornstein-uhlenbeck",
-]
+UPDATES = 60
+"""Of a run without a switch: one a step, in three rounds."""
+OF_ALL = {
+    "trainer.updates_per_step=2.0": lambda run: run.agent.num_updates == 2 * UPDATES,
+    "trainer.n_step=3": lambda run: stored(run, STEPS, torch.ones(1)).max() == 3,
+    "trainer.controller_steps=20": lambda run: not stored(run, ACTION)[:20].any(),
+    "algorithm.agent.network.layer_norm=true": lambda run: has(run.agent.policy, LayerNorm),
+    "algorithm.agent.critic_burn_in=20": lambda run: run.agent.settings.critic_burn_in == 20,
+    "+env.inputs.base_action={}": lambda run: "base_action" in run.agent.inputs,
+    "+env.inputs.previous_action={}": lambda run: "previous_action" in run.agent.inputs,
+}
+"""Switches, and whether each has arrived in a run."""
+OF_TD3 = {
+    "algorithm.agent.target_subset=1": lambda run: run.agent.settings.target_subset == 1,
+    "algorithm.agent.num_critics=3": lambda run: run.agent.settings.num_critics == 3,
+    "algorithm.exploration.sigma_end=0.0": lambda run: run.collection.exploration.sigma < 0.3,
+    "exploration=ornstein-uhlenbeck": lambda run: has(run.collection.exploration, CORRELATED),
+}
+CORRELATED = OrnsteinUhlenbeckProcessModule
 SMALL = {
     "total_steps": 60,
     "warmup_steps": 20,
@@ -33,8 +41,16 @@ SMALL = {
 }
 
 
-def learned(run_dir, *overrides):
-    """The policy's weights after a short training on the drifting point."""
+def stored(run, key, otherwise=None):
+    return run.replay[:].get(key, otherwise)
+
+
+def has(module, kind):
+    return any(isinstance(part, kind) for part in module.modules())
+
+
+def trained(run_dir, *overrides):
+    """A trainer after a short training on the drifting point."""
     with initialize_config_module("rrl.configs", version_base="1.3"):
         config = compose(
             "train",
@@ -60,25 +76,32 @@ def learned(run_dir, *overrides):
     config["trainer"] |= SMALL
     with assembly.trainer(config, run_dir) as trainer:
         trainer.run()
-        return dict(trainer.agent.policy.named_parameters())
+        return trainer
+
+
+def weights(run):
+    return dict(run.agent.policy.named_parameters())
 
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
-    """What each algorithm learns without any switch."""
+    """A run of each algorithm without any switch."""
     return {
-        name: learned(tmp_path_factory.mktemp(name), f"algorithm={name}") for name in ("td3", "sac")
+        name: trained(tmp_path_factory.mktemp(name), f"algorithm={name}") for name in ("td3", "sac")
     }
 
 
 @pytest.mark.parametrize(
-    ("algorithm", "switch"), [("td3", s) for s in (*OF_ALL, *OF_TD3)] + [("sac", s) for s in OF_ALL]
+    ("algorithm", "switch"), [("td3", s) for s in OF_ALL | OF_TD3] + [("sac", s) for s in OF_ALL]
 )
-def test_a_switch_changes_what_is_learned(algorithm, switch, plain, tmp_path):
-    weights = learned(tmp_path, f"algorithm={algorithm}", switch)
-    before = plain[algorithm]
+def test_a_switch_arrives_and_changes_what_is_learned(algorithm, switch, plain, tmp_path):
+    arrived, before = (OF_ALL | OF_TD3)[switch], plain[algorithm]
+    run = trained(tmp_path, f"algorithm={algorithm}", switch)
+    assert arrived(run)
+    assert not arrived(before)
+    kept = weights(before)
     assert any(
-        v.shape != before[k].shape or not torch.equal(v, before[k]) for k, v in weights.items()
+        v.shape != kept[k].shape or not torch.equal(v, kept[k]) for k, v in weights(run).items()
     )
 
 
@@ -88,8 +111,8 @@ def test_switches_at_their_defaults_change_nothing(plain, tmp_path):
         "algorithm.agent.target_subset=2",
     ]
     off += ["algorithm.exploration.sigma_end=0.3", "trainer.n_step=1"]
-    weights = learned(tmp_path, "algorithm=td3", *off)
-    assert all(torch.equal(weights[name], value) for name, value in plain["td3"].items())
+    kept = weights(trained(tmp_path, "algorithm=td3", *off))
+    assert all(torch.equal(kept[name], value) for name, value in weights(plain["td3"]).items())
 
 
 def test_a_scenario_may_exchange_what_the_environment_is_made_of():
