@@ -9,7 +9,7 @@ __all__ = ["MAX_SEED", "Stream", "first_seed"]
 
 _BITS = 29
 MAX_SEED = 2**28
-"""Seeds that a user names are below this."""
+"""Seeds that a user names are below this; so many episodes, at most, are in an evaluation."""
 
 
 class Stream(IntEnum):
@@ -34,7 +34,7 @@ def first_seed(stream: Stream, seed: int, after: int = 0) -> int:
             hardware after a crash.
 
     Returns:
-        A number below 2^31. Streams never meet, as long as a batch has at most 2^28 slots.
+        A number below 2^31. Streams never meet, as long as none plays more than 2^28 episodes.
 
     Raises:
         ValueError: If ``seed`` is out of range.

@@ -27,6 +27,7 @@ __all__ = [
 Positive = Annotated[int, Field(gt=0)]
 NonNegative = Annotated[int, Field(ge=0)]
 Seed = Annotated[int, Field(ge=0, lt=MAX_SEED)]
+Episodes = Annotated[int, Field(gt=0, le=MAX_SEED)]  # of more, the seeds of two streams may meet
 
 
 def _episode_or_steps(value: Any) -> Any:
@@ -65,8 +66,8 @@ class EvaluationSettings(_Settings):
 
     section = "evaluation"
     every: NonNegative = IN_YAML
-    episodes: Positive = IN_YAML
-    final_episodes: Positive = IN_YAML
+    episodes: Episodes = IN_YAML
+    final_episodes: Episodes = IN_YAML
     seed: Seed = IN_YAML
     slots: Positive = IN_YAML
 
@@ -87,7 +88,7 @@ class AcceptanceSettings(_Settings):
     enabled: bool = IN_YAML
     margin: Annotated[float, Field(gt=0, lt=1)] = IN_YAML
     alpha: Annotated[float, Field(gt=0, lt=1)] = IN_YAML
-    episodes: Positive = IN_YAML
+    episodes: Episodes = IN_YAML
 
 
 class ConstraintSettings(_Settings):

@@ -180,7 +180,10 @@ class Evaluator:
         return run_episodes(env, policy, episodes, seed, factory.max_episode_steps, factory.metrics)
 
     def _env(self, scenario: str, episodes: int) -> EnvBase:
-        """The scenario's environment, with equal batches that no slot is played in vain for."""
+        """The scenario's environment, with as few slots as that number of batches needs.
+
+        So fewer slots are played in vain than there are batches: 99 episodes take 2 x 50 slots.
+        """
         factory, slots = self.scenarios[scenario], 1
         if factory.batching == "native":
             batches = -(-episodes // self.settings.slots)
