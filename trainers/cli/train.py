@@ -41,7 +41,7 @@ def train(config: assembly.Config, run_dir: Path, console: Output, *, resume: bo
         return
     if resume:
         require_same_run(saved_note(run_dir).get("config") or config, config)
-    trainer = assembly.trainer(config, run_dir, Progress(console))
+    trainer = assembly.trainer(config, run_dir, Progress(console), checked=True)
     try:
         if not (resume and _resume(trainer, console)):
             start_from(trainer.agent, config)

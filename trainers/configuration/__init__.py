@@ -1,1 +1,1 @@
-"""From a configuration to a trainer, checked before anything is built."""
+"""From a configuration to a trainer, checked before any environment is built."""

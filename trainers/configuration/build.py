@@ -93,15 +93,25 @@ def loggers(config: Config) -> list[MetricsLogger]:
     return [build(node)() for node in _enabled(config.get("logger"))]
 
 
-def trainer(config: Config, run_dir: Path, progress: Progress | None = None) -> Trainer:
-    """Return a trainer ready to run in ``run_dir``; the whole configuration is checked first.
+def trainer(
+    config: Config, run_dir: Path, progress: Progress | None = None, *, checked: bool = False
+) -> Trainer:
+    """Return a trainer ready to run in ``run_dir``.
+
+    Args:
+        config: Resolved.
+        run_dir: Where the run writes.
+        progress: Shows how far the run is.
+        checked: Whether the whole configuration was checked; else it is, first of all.
 
     Raises:
         ValueError: See :func:`check`.
     """
-    check(config, training=True, new=not saved_note(run_dir))
+    if not checked:
+        check(config, training=True, new=not saved_note(run_dir))
     return Trainer(
         environment(config),
+        settings(config),
         agent(config),
         build(config["algorithm"]["exploration"]),
         run_dir,
@@ -111,10 +121,12 @@ def trainer(config: Config, run_dir: Path, progress: Progress | None = None) -> 
         progress=progress,
     )
 
-        settings(config),
 
 def check(config: Config, *, training: bool = False, new: bool = False) -> None:
-    """Find what is wrong with a configuration before any environment is built.
+    """Find what is wrong with a configuration, without environment, robot or file.
+
+    Controller, learner, exploration, transforms, operator and loggers are made, and thrown away;
+    see :func:`.target_checks.check_targets`.
 
     Args:
         config: Resolved.

@@ -23,7 +23,17 @@ Problems = Iterator[str]
 
 
 def check_targets(config: Config, built: dict[str, Any]) -> Problems:
-    """Check every target's arguments; build those that are classes and cheap, into ``built``."""
+    """Check every target's arguments, and the values of those that are made to be checked.
+
+    What an argument may be, a class says where it is made, and nowhere else: so controller,
+    learner, exploration, transforms, operator and loggers are made if they are classes, which
+    opens nothing. A function, an environment, a robot and a renderer are never called; of an
+    environment ``check_arguments`` is, where it has one.
+
+    Args:
+        config: Resolved, of the right layout.
+        built: Gets what was made, by its path.
+    """
     env, algorithm = config["env"], config["algorithm"]
     spec = Bounded(-1.0, 1.0, (1, 1), dtype=torch.float32)
     interface = {"inputs": {"observation": 1}, "action_size": 1}

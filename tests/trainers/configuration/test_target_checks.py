@@ -2,13 +2,17 @@
 
 import re
 from contextlib import nullcontext
+from typing import ClassVar
 
 import pytest
 import torch
 
 from rrl.algorithms import TD3
+from rrl.controllers import ZeroController
 from rrl.trainers.cli.compose import compose
+from rrl.trainers.cli.main import main
 from rrl.trainers.configuration import build as assembly
+from situation_commands import SMALL
 
 
 class NeedsPixels(torch.nn.Module):
@@ -80,3 +84,55 @@ def test_what_is_wrong_with_the_environment_is_not_said_of_every_scenario():
         assembly.check(config)
     lines = str(caught.value).splitlines()
     assert [line.partition(": ")[0] for line in lines] == ["env.base", "env.scenarios.other"]
+
+
+class Made(ZeroController):
+    """Counts its kind; stands for everything that a configuration names."""
+
+    made: ClassVar = []
+
+    def __init__(self, as_what="controller", robot=None, num_envs=1):
+        super().__init__()
+        self.made.append(as_what)
+
+
+@pytest.fixture
+def counted():
+    """Nothing is made so far; a configuration that makes it in many places."""
+    Made.made.clear()
+    config = compose(["env=robot/plant", "logger=[csv,tensorboard,wandb]"])
+
+    def node(as_what):
+        return {"_target_": f"{__name__}.Made", "as_what": as_what}
+
+    config["controller"] = node("controller")
+    config["env"]["base"] = {**node("environment"), "robot": node("robot")}
+    config["env"]["scenarios"] = {"other": {"robot": node("another robot")}}
+    return config
+
+
+def test_a_check_makes_a_controller_and_no_environment_robot_or_file(
+    counted, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    assembly.check(counted, training=True, new=True)
+    assert Made.made == ["controller"]
+    assert not [*tmp_path.iterdir()]
+
+
+def test_a_function_is_never_called_by_a_check(counted):
+    counted["controller"] = {"_target_": f"{__name__}.fails"}
+    counted["env"]["renderer"] = {"_target_": f"{__name__}.film_anyhow"}
+    assembly.check(counted)
+
+
+def fails():
+    raise AssertionError("called")
+
+
+def test_a_command_checks_once(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    checks = []
+    monkeypatch.setattr(assembly.checks, "problems", lambda *_, **how: checks.append(how) or [])
+    assert main(["train", *SMALL, "hydra.run.dir=run"]) == 0
+    assert checks == [{"training": True, "new": True}]
