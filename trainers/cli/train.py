@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from ..configuration import build as assembly
@@ -78,15 +79,16 @@ def _train(config: assembly.Config, trainer: Trainer, console: Output) -> None:
     results = trainer.run()
     if trainer.settings.profile:
         console.print(trainer.profile.table())
-    group, shown = Group(str(config["name"]), tuple(find_runs([run_dir]))), one_run(results)
+    records = {scenario: comparison.record() for scenario, comparison in results.items()}
+    runs = [replace(run, ended=records) for run in find_runs([run_dir])]
+    group, shown = Group(str(config["name"]), tuple(runs)), one_run(results)
     written = show(group, shown, run_dir, console)
     if config["render"]["enabled"]:
-        records = {scenario: comparison.record() for scenario, comparison in results.items()}
         with only_said(console):
             written += film(config, trainer.acceptance.handed_over, records, run_dir, console)
     _log_results(trainer, shown, [path for path in written if path.suffix in MEDIA])
-    write_results(results, run_dir / RESULTS)  # after all that takes long
-    written.append(write_report(find_runs([run_dir]), run_dir / REPORT))
+    written.append(write_report(runs, run_dir / REPORT))
+    write_results(results, run_dir / RESULTS)  # last: it marks a finished run
     for path in written:
         console.say(f"  {path}")
 

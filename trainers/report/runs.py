@@ -6,7 +6,7 @@ import json
 import logging
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -45,10 +45,12 @@ class Run:
     Attributes:
         path: The directory.
         label: Tells it from the runs that it is shown with.
+        ended: The final evaluation, of a run that has not written it yet.
     """
 
     path: Path
     label: str
+    ended: Mapping[str, Record] | None = field(default=None, repr=False, compare=False)
 
     @cached_property
     def config(self) -> dict[str, Any]:
@@ -61,9 +63,9 @@ class Run:
         return self._read(METRICS, lambda path: read_metrics(path.parent))
 
     @cached_property
-    def results(self) -> dict[str, Record]:
+    def results(self) -> Mapping[str, Record]:
         """The final evaluation by scenario; empty while the run is not finished."""
-        return self._read(RESULTS, _records)
+        return self.ended or self._read(RESULTS, _records)
 
     @cached_property
     def versions(self) -> dict[str, str]:
