@@ -15,7 +15,7 @@ from ..resumable_env import ResumableEnv
 from ..seeds import Stream, first_seed
 from ..settings import EvaluationSettings
 from .episodes import Comparison, Episodes
-from .frozen import FEW, NOT_FROZEN, replay_difference
+from .replay_check import FEW, NOT_FROZEN, replay_difference
 from .rollout import run_episodes, zero_residual
 
 log = logging.getLogger(__name__)
@@ -31,7 +31,7 @@ class Evaluator:
     """Plays a policy and the controller alone on frozen episodes.
 
     Whether a scenario's episodes are frozen is tried before its first comparison: see
-    :mod:`.frozen`. Where they are not, the two are independent samples.
+    :mod:`.replay_check`. Where they are not, the two are independent samples.
 
     Args:
         scenarios: Environments by name; the first is followed during training.

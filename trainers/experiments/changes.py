@@ -16,7 +16,7 @@ from ..report.curves import Floats
 from ..report.learning_curve import ACCEPTED_COLOR, RESIDUAL_COLOR
 from ..report.runs import Run
 from ..report.tables import handed_over, number, with_interval
-from .looks import unit_of
+from .figure_style import unit_of
 from .outcomes import Finding, Outcome
 from .spec import Experiment, arm_of
 from .tables import Table

@@ -23,7 +23,7 @@ from ..report.learning_curve import (
     look_at_lines,
 )
 from . import changes, front
-from .looks import HATCHES, LINES, PANELS, color_of, marked, of_round, unit_of
+from .figure_style import HATCHES, LINES, PANELS, color_of, marked, of_round, unit_of
 from .outcomes import Finding, Outcome
 from .spec import Experiment
 from .spread import AXES

@@ -16,7 +16,7 @@ from ..report.curves import ALONE, controllers
 from ..report.learning_curve import CONTROLLER_COLOR
 from ..report.panels import Declared, agreed, quantity_title
 from ..report.tables import with_interval
-from .looks import PANELS, color_of, marked, unit_of
+from .figure_style import PANELS, color_of, marked, unit_of
 from .outcomes import Finding, Outcome
 from .spec import Experiment
 from .tables import Table, interval_of

@@ -14,12 +14,12 @@ from ..launch.pool import Ending
 from ..report.markdown import MarkdownPage
 from ..report.page import Page
 from . import changes
+from .against_controller import HEADER, READING, standing_row
 from .claims import Verdict
 from .front import front_rows
 from .outcomes import Finding, Findings
 from .plan import command
 from .spec import Experiment, Settings
-from .standing import HEADER, READING, standing_row
 from .tables import effort, final_rows, followed_rows, outcome_rows, overall_iqm, steps_rows
 
 TITLE = "Residual reinforcement learning for robot control: the experiments again"

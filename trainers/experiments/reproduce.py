@@ -15,15 +15,15 @@ from ..launch.job import Job
 from ..launch.pool import Ending, launch, require_all
 from ..storage.files import claimed
 from ..training.interruption import Interruption
+from .against_controller import HEADER, standing_row
 from .claims import Verdict, judge
-from .data import keep, kept_runs, take, train_again
 from .figures import draw
+from .kept_runs import keep, kept_runs, take, train_again
 from .numbers import write_numbers
 from .outcomes import Finding, gather
 from .plan import Compose, Point, plan_jobs, plan_points
 from .report import Shown, write_experiments, write_results
 from .spec import Experiment, Settings, load_experiments, load_settings
-from .standing import HEADER, standing_row
 from .video import rescue_video, task_videos
 
 

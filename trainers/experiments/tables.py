@@ -9,7 +9,7 @@ import numpy as np
 from ..evaluation.statistics import iqm, iqm_interval, mean_interval, success_interval
 from ..metric_names import CONTROLLER
 from ..report.tables import number, with_interval
-from .looks import unit_of
+from .figure_style import unit_of
 from .outcomes import SOLVED, Counts, Finding, Outcome
 from .spec import Experiment
 

@@ -17,9 +17,9 @@ from rrl.n_step import STEPS, n_step_transitions
 
 from ..settings import TrainerSettings
 from .finite import require_finite
-from .neighbors import named, put_neighbors
 from .stored_images import StoredImages
 from .transition_log import FOLDER, TransitionLog
+from .unusable_records import named, put_neighbors
 
 log = logging.getLogger(__name__)
 

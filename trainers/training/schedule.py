@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 
 from ..evaluation.evaluator import Evaluator
-from ..evaluation.frozen import FEW
+from ..evaluation.replay_check import FEW
 from ..settings import TrainerSettings
 from .acceptance import Acceptance
 

@@ -25,23 +25,23 @@ from ..storage.checkpoints import Checkpoints, newest_whole, saved_note
 from ..storage.files import require_unclaimed
 from ..storage.finite import require_finite
 from ..storage.replay_store import ReplayStore
-from ..storage.room import require_room
 from ..storage.same_run import as_json, require_same_run
+from ..storage.space_needed import require_room
 from .acceptance import Acceptance
 from .clock import Clock, Counters
-from .collecting import make_collection
 from .collection import Metrics
 from .constraints import Constraints
 from .factories import agent_or_default, default_exploration, in_python, settings_of
 from .interface import Exploration
 from .interruption import Interrupted, Interruption
-from .keys import listening
+from .keyboard import listening
 from .learning import Learning
 from .person import Person
 from .profiling import Profile, Stopwatch, measured
 from .progress import Progress
 from .schedule import announce, checkpoint_due, evaluation_due, require_no_shorter
 from .torch_setup import configure_torch
+from .ways_to_collect import make_collection
 
 log = logging.getLogger(__name__)
 

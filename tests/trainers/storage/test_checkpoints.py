@@ -10,7 +10,7 @@ import torch
 from rrl.trainers.settings import CheckpointSettings
 from rrl.trainers.storage import files
 from rrl.trainers.storage.checkpoints import load_components
-from rrl.trainers.storage.room import kept_on_disk
+from rrl.trainers.storage.space_needed import kept_on_disk
 from toy_envs import EPISODE_STEPS
 
 

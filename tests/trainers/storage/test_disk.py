@@ -11,7 +11,7 @@ import pytest
 
 from rrl.trainers.settings import CheckpointSettings
 from rrl.trainers.storage.files import lock, sync
-from rrl.trainers.storage.room import memory_bytes, require_room
+from rrl.trainers.storage.space_needed import memory_bytes, require_room
 from rrl.trainers.training.realtime.hand_over import HandOver
 from situation_commands import start
 

@@ -27,8 +27,8 @@ from ..collection import Apart, Metrics
 from ..collection_metrics import EpisodeReturns, collection_metrics
 from ..interface import Exploration
 from ..policy_vector import flatten
+from .acting_process import POLL, ActingProcess
 from .hand_over import FOLDER, HandOver, Weights
-from .process import POLL, ActingProcess
 from .records import TIMING, cut_episodes, read_usable, seconds_of, timing_metrics
 
 log = logging.getLogger(__name__)

@@ -13,9 +13,9 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 
 from ...loggers import metrics
-from ...storage.neighbors import named, put_neighbors
 from ...storage.replay_store import as_stored
 from ...storage.transition_log import TransitionLog
+from ...storage.unusable_records import named, put_neighbors
 
 log = logging.getLogger(__name__)
 

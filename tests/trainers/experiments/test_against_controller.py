@@ -9,9 +9,9 @@ import pytest
 import yaml
 
 from experiment_project import finding, write
+from rrl.trainers.experiments.against_controller import HEADER, Standing, standing, standing_row
 from rrl.trainers.experiments.outcomes import Outcome
 from rrl.trainers.experiments.plan import Point
-from rrl.trainers.experiments.standing import HEADER, Standing, standing, standing_row
 from rrl.trainers.experiments.tables import effort
 from rrl.trainers.report.runs import Run
 

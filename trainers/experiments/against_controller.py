@@ -14,7 +14,7 @@ from ..loggers import metrics
 from ..metric_names import ACCEPTED, CONTROLLER, decimals
 from ..report.runs import Run
 from ..report.tables import gain, handed_over, success_cells
-from .looks import unit_of
+from .figure_style import unit_of
 from .outcomes import ROUNDING, Outcome
 
 HEADER = [

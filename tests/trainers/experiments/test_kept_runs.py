@@ -9,7 +9,7 @@ import yaml
 
 from experiment_project import EXPERIMENT, write
 from logged_runs import make_run
-from rrl.trainers.experiments.data import keep
+from rrl.trainers.experiments.kept_runs import keep
 from rrl.trainers.experiments.numbers import COLUMNS
 from rrl.trainers.launch.job import Job, write_config
 
