@@ -16,6 +16,13 @@ FORBIDDEN = {
     "configs": {"rrl", "torch"},
 }
 HYDRA_ONLY_IN = {"compose.py"}
+IN_BETWEEN = {
+    ROOT / "trainers/training/ways_to_collect.py",  # knows every way, and each uses the interface
+    ROOT / "envs/insertion/config.py",  # what model, physics and task are all made by
+}
+"""Files whose folder is both above and below another one, in no circle themselves."""
+LONGEST_FILE = 300
+"""Lines."""
 UNDERSCORED = {
     *("_asdict", "_replace", "_exit"),  # public in spite of it: of named tuples and of os
     *("_reset", "_step"),  # what a TorchRL transform is written by
@@ -81,26 +88,71 @@ def rooms() -> list[set[str]]:
     return [set(re.findall(r"`([\w.]+)/?`", row.split("|")[1])) for row in rows]
 
 
-def neighbours(path: Path) -> set[str]:
-    """Names of what a file of ``trainers/`` imports from there."""
-    folder, found = path.relative_to(ROOT / "trainers").parts[:-1], set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.level:
-            parts = [*folder[: len(folder) + 1 - node.level], *(node.module or "").split(".")]
-            names = [parts[0]] if parts[0] else [alias.name for alias in node.names]
-            found |= {n if (ROOT / "trainers" / n).is_dir() else f"{n}.py" for n in names}
-    return found
+def imported(path: Path, for_types: bool = True) -> set[Path]:
+    """Files of ours that a file imports, wherever and however; a package is its ``__init__.py``."""
+    folder, found, tree = path.parent.relative_to(ROOT).parts, set(), ast.parse(path.read_text())
+    for node in [] if for_types else ast.walk(tree):
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            node.body = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {_file(alias.name.split(".")) for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            parts = node.module.split(".") if node.module else []
+            if node.level:
+                parts = ["rrl", *folder[: len(folder) + 1 - node.level], *parts]
+            found |= {_file([*parts, alias.name]) or _file(parts) for alias in node.names}
+    return found - {None, path}
+
+
+def _file(parts: list[str]) -> Path | None:
+    """Return the file behind the parts of an absolute name; None: it is none of ours."""
+    if parts[:1] != ["rrl"]:
+        return None
+    inside = parts[1:] if parts[1:2] and parts[1] in FOLDERS else parts
+    place = ROOT.joinpath(*inside)
+    return next((p for p in (place / "__init__.py", place.with_suffix(".py")) if p.is_file()), None)
+
+
+def room(path: Path) -> str:
+    """Return the file or folder of ``trainers/`` that a file in there belongs to."""
+    return path.relative_to(ROOT / "trainers").parts[0]
 
 
 def test_rooms_of_the_trainers_import_one_way():
     order = {name: i for i, row in enumerate(rooms()) for name in row}
     for path in sorted((ROOT / "trainers").rglob("*.py")):
-        room = path.relative_to(ROOT / "trainers").parts[0]
-        if room in ("__init__.py", "__main__.py"):
+        if (name := room(path)) in ("__init__.py", "__main__.py"):
             continue
-        assert room in order, f"{room} is missing from the table of rooms in docs/design.md"
-        above = {name for name in order if order[name] <= order[room]}
-        assert neighbours(path) <= above, f"{path} imports {neighbours(path) - above}"
+        assert name in order, f"{name} is missing from the table of rooms in docs/design.md"
+        used = {room(p) for p in imported(path) if p.is_relative_to(ROOT / "trainers")}
+        above = {other for other in order if order[other] <= order[name]}
+        assert used <= above, f"{path} imports {used - above}"
+
+
+def circles(edges: dict[Path, set[Path]]) -> set[Path]:
+    """Return what cannot be put into an order in which everything comes after what it needs."""
+    left = dict(edges)
+    while free := {a for a, needed in left.items() if not needed & left.keys() - {a}}:
+        left = {a: needed for a, needed in left.items() if a not in free}
+    return set(left)
+
+
+def test_nothing_is_imported_in_a_circle():
+    """Neither files nor folders; an ``__init__.py`` only shows what lies below it."""
+    files = {p: imported(p, for_types=False) for p in sources() if p.name != "__init__.py"}
+    assert not circles(files)
+    places = {p: p if p.parent == ROOT / "trainers" else p.parent for p in files}
+    folders = {place: set() for place in places.values()}
+    for path in files.keys() - IN_BETWEEN:
+        folders[places[path]] |= {places.get(p, p.parent) for p in files[path] - IN_BETWEEN}
+    assert not circles(folders)
+
+
+@pytest.mark.parametrize("folder", [*FOLDERS, "tests", "benchmarks", "examples"])
+def test_no_file_is_long(folder):
+    lines = {p: len(p.read_text().splitlines()) for p in (ROOT / folder).rglob("*.py")}
+    assert {path: n for path, n in lines.items() if n > LONGEST_FILE} == {}
 
 
 def test_every_package_is_declared():

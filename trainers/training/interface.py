@@ -22,7 +22,6 @@ from ..seeds import Stream, first_seed
 from ..settings import TrainerSettings
 from ..storage.replay_store import as_stored
 from .constraints import budgets
-from .realtime.records import record_bytes
 
 Exploration = Callable[..., TensorDictModuleBase | None]
 """Makes TorchRL's exploration module, or None where the policy explores by itself; called with
@@ -113,8 +112,7 @@ def prepare(
     interface = replace(interface_of(environment, env), costs=costs)
     env.append_transform(FiniteObservation(list(dict.fromkeys([*interface.kept, BASE_ACTION]))))
     size = _transition_bytes(env, interface) // settings.num_envs
-    acted = record_bytes(env) if settings.collection == "realtime" else 0
-    return env, replace(interface, room=(size, size + acted)), explore
+    return env, replace(interface, room=(size, size)), explore
 
 
 def _transition_bytes(env: EnvBase, interface: Interface) -> int:

@@ -9,6 +9,7 @@ import signal
 import sys
 import time
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 from rrl.pace import Pace, prioritize
@@ -28,6 +29,7 @@ from ..torch_setup import configure_torch
 from .acting import Acting
 from .ending import Ending
 from .hand_over import HandOver
+from .records import record_bytes
 
 log = logging.getLogger("rrl.trainers.training.realtime")  # __name__ is __main__
 
@@ -45,6 +47,8 @@ def _act(hand_over: HandOver, learner: int) -> None:
     configure_torch(settings, collects_only=True, env_steps=before)
     env, interface, explore = prepare(settings, environment, exploration)
     try:
+        in_memory, stored = interface.room
+        interface = replace(interface, room=(in_memory, stored + record_bytes(env)))
         pace = _pace(settings, environment, env)
         is_robot = stop_of(env) is not None
         hand_over.write("interface", (interface, Authority.of(env), is_robot))
