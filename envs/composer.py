@@ -74,7 +74,7 @@ class ComposerEnv(DMControlWrapper):
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is not None:
-            self._env.random_state.seed(seed)
+            self.random_state.seed(seed)
 
     def read_obs(self, observations: dict[str, Any]) -> dict[str, Any]:
         """Return the observables as tensors of the specs' type and shape."""

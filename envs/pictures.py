@@ -104,10 +104,9 @@ def draw_data(
 
 def _physics(env: Any) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """Find the model and its data, where Gymnasium, dm_control or robosuite keep them."""
-    inner = getattr(env, "_env", env)  # under TorchRL's wrapper
-    if (physics := getattr(inner, "physics", None)) is not None:
+    if (physics := getattr(env, "physics", None)) is not None:  # TorchRL's wrappers have it too
         return physics.model.ptr, physics.data.ptr
-    inner = getattr(inner, "unwrapped", inner)
+    inner = getattr(env, "unwrapped", env)
     owner = getattr(inner, "sim", inner)
     model, data = getattr(owner, "model", None), getattr(owner, "data", None)
     model, data = getattr(model, "_model", model), getattr(data, "_data", data)

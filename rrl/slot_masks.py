@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
+from torchrl.envs import EnvBase
 
 from rrl.keys import leaf
 
@@ -30,6 +31,11 @@ def step_mask(tensordict: TensorDictBase, batch: torch.Size) -> Tensor | None:
     """Return which slots are stepped, bool ``[*batch]``, or None for all of them."""
     mask = tensordict.get("_step", None)
     return None if mask is None else mask.reshape(batch)
+
+
+def resets_itself(env: EnvBase) -> bool:
+    """Return whether it starts the next episode within the step that ends one."""
+    return bool(env.__dict__.get("_torchrl_native_autoreset", False))
 
 
 def any_done(tensordict: TensorDictBase) -> Tensor:

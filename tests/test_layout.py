@@ -1,9 +1,13 @@
 """The house's rules: who may import whom, and what an installation puts where."""
 
 import ast
+import importlib
+import inspect
 import re
+import sys
 from itertools import takewhile
 from pathlib import Path
+from textwrap import dedent
 
 import pytest
 
@@ -23,16 +27,30 @@ IN_BETWEEN = {
 """Files whose folder is both above and below another one, in no circle themselves."""
 LONGEST_FILE = 300
 """Lines."""
+EXTENSION_POINTS = {
+    *("_call", "_inv_call", "_post_step_mdp_hooks"),  # of TorchRL's transforms
+    *("_reset", "_step", "_set_seed"),  # of its environments and transforms, or entries of both
+    *("_check_kwargs", "_make_specs"),  # of its wrappers of other libraries' environments
+    "_apply",  # of torch's modules: what ``to`` calls
+    "_build",  # of dm_control's entities
+}
+"""What libraries have others write or call, whose documentation says so."""
 UNDERSCORED = {
     *("_asdict", "_replace", "_exit"),  # public in spite of it: of named tuples and of os
-    *("_reset", "_step"),  # what a TorchRL transform is written by
-    "_modules",  # of torch.nn.Module, tables that its documentation names
-    "_buffers",
+    *("_modules", "_buffers"),  # of torch's modules, tables that the documentation names
     "_envs",  # of SerialEnv, which has no other way to its environments
+    "_shm_done_flags",  # of ParallelEnv, which leaves them raised when it has loaded a state
+    "_torchrl_native_autoreset",  # how TorchRL marks an environment that resets itself
+    "_rng",  # of TorchRL's samplers, where a buffer puts its generator
+    *("_cursor", "_write_count"),  # of a writer's state: a buffer filled anew goes on at its place
+    *("_substep", "_hooks"),  # of composer, whose own substep raises or logs where physics diverges
+    *("_model", "_data"),  # of robosuite, which wraps MuJoCo's
     "_freeze_rand_vec",  # of Meta-World, whose resets follow no seed otherwise
     "_check_success",  # of robosuite, which reports no success otherwise
 }
-"""Names of others with an underscore that are used; nothing else stands for them."""
+"""Other names of others with an underscore that are used, for want of a public way as simple."""
+PRIVATE = re.compile(r"_[a-z](\w*[a-z\d])?")
+BY_NAME = {"get", "pop", "setdefault", "getattr", "setattr", "hasattr", "delattr", "__setattr__"}
 
 
 def imports(path: Path) -> set[str]:
@@ -62,23 +80,64 @@ def test_imports_respect_the_layers(path):
             assert path.name in HYDRA_ONLY_IN
 
 
-def privates(tree: ast.AST) -> tuple[set[str], set[str]]:
-    """Private names that a file makes, and those that it reads of anything but itself."""
-    made, read = set(), set()
+def privates(tree: ast.AST) -> tuple[set[str], set[str], set[str]]:
+    """Private names that code makes, those that it has of itself, and those of anything else."""
+    made, own, others = set(), set(), set()
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             made.add(node.name)
-        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-            made.add(node.target.id)
-        elif isinstance(node, ast.Attribute) and re.match("_[a-z]", node.attr):
-            own = ast.unparse(node.value) in ("self", "cls", "super()")
-            (made if own else read).add(node.attr)
-    return made, read
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            made.add(node.id)
+        elif isinstance(node, ast.Attribute):
+            is_own = ast.unparse(node.value) in ("self", "cls", "super()")
+            (own if is_own else others).add(node.attr)
+            if is_own and isinstance(node.ctx, ast.Store):
+                made.add(node.attr)
+        elif isinstance(node, ast.Call) and (called := ast.unparse(node.func).split(".")[-1]):
+            named = made if called == "register_buffer" else others if called in BY_NAME else set()
+            named |= texts(node.args)
+        elif isinstance(node, ast.Subscript):
+            others |= texts([node.slice])
+        elif isinstance(node, ast.Dict):
+            others |= texts(node.keys)
+    return tuple(
+        {name for name in names if PRIVATE.fullmatch(name)} for names in (made, own, others)
+    )
 
 
-def test_private_names_of_others_are_left_alone():
-    files = [privates(ast.parse(path.read_text())) for path in sources()]
-    assert set().union(*(read - made for made, read in files)) == UNDERSCORED
+def texts(nodes: list[ast.expr]) -> set[str]:
+    return {n.value for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)}
+
+
+def of_libraries(cls: type) -> set[str]:
+    """Private names that a class of ours uses or takes, and a library's class above it has."""
+    above = [c for c in cls.__mro__ if c.__module__ not in ("builtins", "typing", "abc")]
+    ours = [c for c in above if c.__module__.split(".")[0] == "rrl"]
+    names = [privates(ast.parse(dedent(inspect.getsource(c)))) for c in ours]
+    made, own, _ = zip(*names, strict=True)
+    theirs = set().union(*(vars(c) for c in above if c not in ours))
+    for library in {c.__module__ for c in above if c not in ours}:
+        if source := getattr(sys.modules[library], "__file__", None):
+            theirs |= set(re.findall(r"self\.(_\w+)", Path(source).read_text()))
+    return own[0] - set().union(*made) | (own[0] | made[0]) & theirs
+
+
+def test_private_names_of_libraries_are_left_alone():
+    found = set()
+    for path in sources():
+        tree = ast.parse(path.read_text())
+        made, own, others = privates(tree)
+        found |= others - made - own
+        if classes := [node.name for node in tree.body if isinstance(node, ast.ClassDef)]:
+            name = ".".join([FOLDERS[path.relative_to(ROOT).parts[0]], *_below(path)])
+            module = importlib.import_module(name)
+            found |= set().union(*(of_libraries(getattr(module, name)) for name in classes))
+    assert found == EXTENSION_POINTS | UNDERSCORED
+
+
+def _below(path: Path) -> tuple[str, ...]:
+    parts = path.relative_to(ROOT).with_suffix("").parts[1:]
+    return parts[:-1] if parts[-1] == "__init__" else parts
 
 
 def rooms() -> list[set[str]]:

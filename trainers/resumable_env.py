@@ -11,6 +11,7 @@ from tensordict import TensorDictBase
 from torchrl.envs import TransformedEnv
 
 from rrl.keys import DIVERGED, METRICS, REWARD_TERMS, SAFETY, SUCCESS
+from rrl.slot_masks import resets_itself
 
 from .requests import Requests
 from .workers import WorkerErrors
@@ -36,6 +37,9 @@ class ResumableEnv(TransformedEnv):
     requests: Requests | None = None
     _repeats = True
     _last: TensorDictBase
+    _reported: TensorDictBase
+    _is_new: bool
+    _seconds: dict[str, float]
     is_cut_short: bool = False
     """Whether a pause has stopped the robot in the middle of the last episode."""
 
@@ -102,7 +106,7 @@ class ResumableEnv(TransformedEnv):
             self.requests.judge(out["next"])
             if self.is_cut_short:
                 self.requests.cut(out["next"])
-        if self.__dict__.get("_torchrl_native_autoreset", False):
+        if resets_itself(self):
             # TorchRL puts NaN in the place of all that an episode's last step shows.
             self.__dict__["_reported"] = out["next"].select(*REPORTED, strict=False).copy()
         return out

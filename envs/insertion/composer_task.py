@@ -152,9 +152,9 @@ class InsertionEnvironment(composer.Environment):
     def _substep(self, action: Any) -> None:
         # As composer does it, but without dm_control's check, which raises in the middle of the
         # control step: the task looks at its end and flags what has diverged.
-        self._hooks.before_substep(self._physics_proxy, action, self._random_state)
-        mujoco.mj_step(self._physics.model.ptr, self._physics.data.ptr)
-        self._hooks.after_substep(self._physics_proxy, self._random_state)
+        self._hooks.before_substep(self.physics, action, self.random_state)
+        mujoco.mj_step(self.physics.model.ptr, self.physics.data.ptr)
+        self._hooks.after_substep(self.physics, self.random_state)
 
 
 def load(

@@ -146,7 +146,7 @@ def _ignores(node: Node) -> bool:
     """Return whether a node's numbers do not depend on its inputs'."""
     value = node.meta.get("val")
     empty = isinstance(value, Tensor) and value.numel() == 0
-    return empty or getattr(node.target, "_opname", "") in SHAPE_ALONE
+    return empty or getattr(node.target, "__name__", "").partition(".")[0] in SHAPE_ALONE
 
 
 def _union(reads: dict[Node, set[str]], nodes: Sequence[Node]) -> set[str]:

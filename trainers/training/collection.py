@@ -13,6 +13,7 @@ from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.envs.utils import ExplorationType
 
 from rrl.keys import ACTION
+from rrl.slot_masks import resets_itself
 
 from ..environment import EnvironmentFactory
 from ..generators import seed_generators
@@ -209,7 +210,7 @@ class InTurn(Collection):
         with torch.no_grad():
             data = self.rollout(env_steps)
             kept = self.interface.kept
-            if self.env.__dict__.get("_torchrl_native_autoreset", False):
+            if resets_itself(self.env):
                 hidden = [key for key in kept if key not in self.interface.costs]
                 _fill_in_last_observations(data, hidden)
             values = collection_metrics(data, Authority.of(self.env)) | self._returns.metrics(data)

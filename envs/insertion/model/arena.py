@@ -18,14 +18,14 @@ class PlatformArena(composer.Arena):
 
     def _build(self, config: InsertionConfig, name: str = "insertion") -> None:
         super()._build(name)
-        self._mjcf_root.option.set_attributes(
+        self.mjcf_model.option.set_attributes(
             timestep=config.physics_timestep, integrator="implicitfast", cone="elliptic",
             iterations=10, ls_iterations=20, noslip_iterations=0,
         )  # fmt: skip
-        self._mjcf_root.option.flag.multiccd = "enable"
+        self.mjcf_model.option.flag.multiccd = "enable"
         self._add_look()
         # What the blocks touch is an unseen plane: box on plane is exact and cheap.
-        self._mjcf_root.worldbody.add(
+        self.mjcf_model.worldbody.add(
             "geom", name="surface", type="plane", size=(1, 1, 0.1), group=4,
             friction=(config.platform_friction, 0.005, 0.0001),
         )  # fmt: skip
@@ -33,7 +33,7 @@ class PlatformArena(composer.Arena):
         self._add_cameras(*config.goal_xy)
 
     def _add_look(self) -> None:
-        root = self._mjcf_root
+        root = self.mjcf_model
         root.visual.headlight.set_attributes(
             ambient=(0.35, 0.35, 0.36), diffuse=(0.25, 0.25, 0.25), specular=(0.1, 0.1, 0.1)
         )
@@ -65,7 +65,7 @@ class PlatformArena(composer.Arena):
 
     def _add_furniture(self, x: float, y: float, base_height: float) -> None:
         def decor(kind: str, material: str, **shape: Any) -> None:
-            self._mjcf_root.worldbody.add(
+            self.mjcf_model.worldbody.add(
                 "geom", type=kind, material=material, contype=0, conaffinity=0, **shape
             )
 
@@ -82,7 +82,7 @@ class PlatformArena(composer.Arena):
         decor("plane", "floor", pos=(0, 0, -TABLE_HEIGHT), size=(6, 6, 0.1))
 
     def _add_cameras(self, x: float, y: float) -> None:
-        world = self._mjcf_root.worldbody
+        world = self.mjcf_model.worldbody
         target = world.add("body", name="camera_target", pos=(x, y, 0.09))
         middle = world.add("body", name="arm_target", pos=(x - 0.24, y, 0.27))
         for name, position, aim, fovy in zip(

@@ -19,7 +19,7 @@ from torchrl.envs.transforms import (
 )
 
 from rrl.checks import missing
-from rrl.slot_masks import any_done, merge, reset_mask, step_mask
+from rrl.slot_masks import any_done, merge, reset_mask, resets_itself, step_mask
 from rrl.slot_random import Seeded, SlotGenerators
 
 Mask = Tensor | None
@@ -148,7 +148,7 @@ class SlotTransform(Transform):
     def resets_itself(self) -> bool:
         """Return whether the environment starts the next episode within the step that ends one."""
         env = self.container
-        return env is not None and env.__dict__.get("_torchrl_native_autoreset", False)
+        return env is not None and resets_itself(env)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         return self.forward(next_tensordict)
