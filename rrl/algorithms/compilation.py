@@ -6,21 +6,24 @@ import contextlib
 import copy
 import functools
 import importlib
+import inspect
 import logging
 import os
+import pkgutil
 import tempfile
 import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from contextvars import ContextVar
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
 from torch.fx import Graph, GraphModule, Node
-from torch.fx.experimental.proxy_tensor import get_proxy_mode, make_fx
 
 from rrl.algorithms.products import multiply_in_bfloat16
 
@@ -29,29 +32,52 @@ log = logging.getLogger(__name__)
 Update = Callable[..., dict[str, Tensor]]
 """From tensors to metrics; changes tensors that it holds on to (parameters, moments) in place."""
 
-ATEN = torch.ops.aten
+TESTED = "2.13"
+"""The version of PyTorch whose private interfaces these are."""
+MAKE_FX = "torch.fx.experimental.proxy_tensor:make_fx"
+COMPILE = "torch._inductor:compile"
+CPP_COMPILER = "torch._inductor.cpp_builder:get_cpp_compiler"
+INTERFACES = {
+    MAKE_FX: {"tracing_mode", "_allow_non_fake_inputs"},
+    COMPILE: {"options"},
+    CPP_COMPILER: set[str](),
+    "torch._inductor.config:cpp_wrapper": set[str](),
+    "torch._subclasses.fake_tensor:FakeTensorMode.from_tensor": set[str](),
+}
+"""What is used of the compiler, and the arguments that it is called with."""
 DRAWS = (
-    ATEN.rand.default,
-    ATEN.rand_like.default,
-    ATEN.randn.default,
-    ATEN.randn_like.default,
-    ATEN.normal_.default,
-    ATEN.normal_functional.default,
-    ATEN.uniform_.default,
-    ATEN.bernoulli_.float,
-    ATEN.bernoulli.p,
+    *("rand.default", "rand_like.default", "randn.default", "randn_like.default"),
+    *("normal_.default", "normal_functional.default", "uniform_.default"),
+    *("bernoulli_.float", "bernoulli.p"),
 )
-"""Random operations that read nothing but shape and type."""
+"""Random operations of ATen that read nothing but shape and type."""
+
+_traced = ContextVar("_traced", default=False)
 
 
 def compiler_problem() -> str | None:
-    """Return why nothing can be compiled on this machine; None if it can."""
+    """Return why nothing can be compiled here, and what to do; None if it can."""
     _choose_cache()
     try:
-        importlib.import_module("torch._inductor.cpp_builder").get_cpp_compiler()
+        for name, arguments in INTERFACES.items():
+            found = pkgutil.resolve_name(name)
+            if arguments and not arguments <= inspect.signature(found).parameters.keys():
+                raise TypeError(f"{name} without {' or '.join(sorted(arguments))}")
+        attrgetter(*DRAWS)(torch.ops.aten)
+    except Exception as error:  # whatever a new version comes up with
+        return (
+            f"PyTorch {torch.__version__} has other compiler interfaces than {TESTED}, which is "
+            f"tested ({_first_line(error)}); install that one"
+        )
+    try:
+        pkgutil.resolve_name(CPP_COMPILER)()
     except Exception as error:  # of an internal kind that moves between versions
-        return f"{type(error).__name__}: {error}".strip().partition("\n")[0]
+        return f"no C++ compiler ({_first_line(error)}); install g++"
     return None
+
+
+def _first_line(error: Exception) -> str:
+    return f"{type(error).__name__}: {str(error).strip()}".partition("\n")[0]
 
 
 def import_compiler() -> None:
@@ -86,7 +112,7 @@ def find_vector_instructions() -> threading.Thread:
 
 def being_traced() -> bool:
     """Return whether the running code is recorded for a :class:`CompiledUpdate`."""
-    return get_proxy_mode() is not None
+    return _traced.get()
 
 
 class CompiledUpdate:
@@ -148,19 +174,18 @@ class CompiledUpdate:
                 graph = self._trace(tensors)
                 put_back()  # what involves no tensor of the batch is not only recorded but done
                 arguments = self._arguments(tensors)
-                run = importlib.import_module("torch._inductor").compile(
-                    graph, arguments, options={"cpp_wrapper": True}
-                )
+                compile_graph = pkgutil.resolve_name(COMPILE)
+                run = compile_graph(graph, arguments, options={"cpp_wrapper": True})
                 run(*arguments)  # a damaged cache shows itself here
             self._run = run
             if torn:
                 log.warning("the compiler's cache is damaged, compiled anew; remove %s", cache)
         except Exception as error:  # whatever a compiler, its cache or a new version come up with
             self.failed = True
-            reason = f"{type(error).__name__}: {str(error).strip().partition(chr(10))[0]}"
             warnings.warn(
                 "the update is not compiled and takes two to three times as long: "
-                f"{reason}; if the compiler's cache is damaged, remove {cache}",
+                f"{_first_line(error)} (PyTorch {torch.__version__}; {TESTED} is tested); "
+                f"if the compiler's cache is damaged, remove {cache}",
                 stacklevel=4,
             )
         put_back()
@@ -173,7 +198,11 @@ class CompiledUpdate:
             self._names = list(metrics)
             return list(metrics.values())
 
-        graph = make_fx(values, tracing_mode="fake", _allow_non_fake_inputs=True)(*tensors)
+        make_fx, before = pkgutil.resolve_name(MAKE_FX), _traced.set(True)
+        try:
+            graph = make_fx(values, tracing_mode="fake", _allow_non_fake_inputs=True)(*tensors)
+        finally:
+            _traced.reset(before)
         self._state = _lift_state(graph)
         self._draws = _lift_draws(graph)
         if self._bfloat16:
@@ -216,7 +245,8 @@ def _lift_draws(module: GraphModule) -> list[Callable[[], Tensor]]:
     """
     graph = module.graph
     draws: list[Callable[[], Tensor]] = []
-    for node in [node for node in graph.nodes if node.target in DRAWS]:
+    operations = attrgetter(*DRAWS)(torch.ops.aten)
+    for node in [node for node in graph.nodes if node.target in operations]:
         with graph.inserting_after(_last_argument(graph)):
             argument = graph.placeholder(f"random_{len(draws)}")
         argument.meta["val"] = node.meta["val"]

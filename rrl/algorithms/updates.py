@@ -43,8 +43,8 @@ class Updates:
         problem = compiler_problem() if compiled else None
         if problem is not None:
             warnings.warn(
-                "the update is not compiled and takes two to three times as long: no C++ compiler "
-                f"({problem}); install g++, or set compiled=false to do without",
+                "the update is not compiled and takes two to three times as long: "
+                f"{problem}, or set compiled=false to do without",
                 stacklevel=2,
             )
         self._graphs: dict[Any, CompiledUpdate] = {}

@@ -12,7 +12,7 @@ import torch
 from torch._inductor import config
 
 from agents import learn, make_agent, parameters
-from rrl.algorithms.compilation import CompiledUpdate, being_traced, compiler_problem
+from rrl.algorithms.compilation import TESTED, CompiledUpdate, being_traced, compiler_problem
 
 TESTS = Path(__file__).parents[2]
 BROKEN_COMPILER = """#!/bin/sh
@@ -51,6 +51,33 @@ def test_without_a_compiler_the_update_runs_as_it_is():
         learn(agent, 4)
     for name, value in parameters(eager).items():
         assert torch.equal(parameters(compiled)[name], value)
+
+
+HIDDEN = {
+    "no module": "sys.modules['torch.fx.experimental.proxy_tensor'] = None",
+    "no compiler of C++": "sys.modules['torch._inductor.cpp_builder'] = None",
+    "no function": "del torch._inductor.compile",
+    "other arguments": "torch._inductor.compile = lambda gm, example_inputs: gm",
+}
+"""How another version of PyTorch may differ, after all that others import of it."""
+
+
+@pytest.mark.parametrize("how", HIDDEN)
+def test_with_other_compiler_interfaces_the_update_runs_as_it_is(how):
+    """In a process of its own, where the interface is hidden before our first import."""
+    hide = f"import sys, torch, torchrl.objectives, torch._inductor\n{HIDDEN[how]}\n"
+    there = {"PYTHONPATH": os.pathsep.join([str(TESTS.parent), str(TESTS)])}
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", hide + LEARN_WITHOUT_COMPILER],
+        check=True, env=os.environ | there, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    (said,) = done.stdout.splitlines()
+    assert f"PyTorch {torch.__version__} has other compiler interfaces than {TESTED}" in said
+    assert "g++" not in said
+
+
+def test_the_tested_version_is_the_one_that_is_installed_for_tests():
+    assert f"torch=={TESTED}." in (TESTS.parent / "constraints.txt").read_text()
 
 
 def test_a_user_without_a_home_has_a_cache(monkeypatch, tmp_path):
