@@ -40,7 +40,7 @@ class Row:
     """The rate that the project promises."""
     overrides: dict[str, Any] = dataclasses.field(default_factory=dict)
     noise: Noise = (0.0, 0.0)
-    """Mean and standard deviation of the noise on the control output, normalised."""
+    """Mean and standard deviation of the noise on the control output, normalized."""
 
 
 def rows() -> list[Row]:

@@ -5,7 +5,7 @@
 Every life of the run is a process of its own that executes ``rrl train`` with the command line's own entry point;
 processes are forked from one that has imported everything, because start-up would take most of the time otherwise.
 Every second kill waits until a checkpoint is being written and strikes within it. Afterwards the run that was killed
-must equal the one that was not, to the last bit: learned parameters, optimisers, random generators, episode, stored
+must equal the one that was not, to the last bit: learned parameters, optimizers, random generators, episode, stored
 transitions, metrics. Exit status 1 if it does not, or if a single stored transition was lost.
 """
 

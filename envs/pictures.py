@@ -67,7 +67,11 @@ def draw_states(
     height: int,
     hidden: Sequence[int] = (),
 ) -> NDArray[np.uint8]:
-    """Draw states of a model; ``kind`` is what they hold, ``hidden`` are groups of geoms."""
+    """Draw states of a model; ``kind`` is what they hold, ``hidden`` are groups of geoms.
+
+    Raises:
+        ValueError: If there are no states.
+    """
     data, frames = mujoco.MjData(model), []
     with opened(model, camera, width, height) as renderer:
         for state in states:
@@ -80,7 +84,11 @@ def draw_states(
 
 
 def opened(model: mujoco.MjModel, camera: str | None, width: int, height: int) -> mujoco.Renderer:
-    """Return a renderer for pictures of this size, to be used in a ``with`` statement."""
+    """Return a renderer for pictures of this size, to be used in a ``with`` statement.
+
+    Raises:
+        ValueError: If there is no such camera, or a side is below 1.
+    """
     if width < 1 or height < 1:
         raise ValueError(f"width and height: expected at least 1, got {width} x {height}")
     names = [model.camera(index).name for index in range(model.ncam)]

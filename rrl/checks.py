@@ -18,7 +18,11 @@ _OWN = (SAFETY, SO_FAR, INTERVENTION, "_given")
 
 
 def check(name: str, value: object, expected: str, fine: bool) -> None:
-    """Raise a ValueError that names a parameter, unless it is fine."""
+    """Raise a ValueError that names a parameter, unless it is fine.
+
+    Raises:
+        ValueError: If it is not.
+    """
     if not fine:
         raise ValueError(f"{name}: expected {expected}, got {value!r}")
 
@@ -79,7 +83,11 @@ def per_dimension(
 
 
 def check_length(name: str, value: Tensor, size: int, what: str) -> None:
-    """Raise a ValueError unless ``value`` is one number or has one for each dimension."""
+    """Raise a ValueError unless ``value`` is one number or has one for each dimension.
+
+    Raises:
+        ValueError: If it has another length.
+    """
     if value.ndim and value.shape[-1] != size:
         raise ValueError(
             f"{name}: expected one number or {size}, as many as {what} has dimensions, "
@@ -95,7 +103,11 @@ def check_lengths(**values: Tensor) -> None:
 
 
 def check_keys(owner: Any, in_keys: Sequence[NestedKey], out_keys: Sequence[NestedKey]) -> None:
-    """Raise a ValueError unless there is one out key for each of at least one in key."""
+    """Raise a ValueError unless there is one out key for each of at least one in key.
+
+    Raises:
+        ValueError: If there are more or fewer.
+    """
     if not in_keys or len(in_keys) != len(out_keys):
         raise ValueError(
             f"{type(owner).__name__}: expected at least one in key and one out key for each, got "

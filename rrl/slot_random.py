@@ -16,7 +16,7 @@ _MAX_DRAWN_SEED = 2**31
 
 
 class SlotGenerators:
-    """One random generator for each slot, so that a slot's numbers do not depend on its neighbours.
+    """One random generator for each slot, so that a slot's numbers do not depend on its neighbors.
 
     The generator of slot i is seeded from ``seed + i``: slot i of a batch draws, bit for bit, what
     the only slot of a batch of one seeded ``seed + i`` draws.

@@ -25,7 +25,7 @@ class Symmetry:
 
     Args:
         mirrors: For each mirror the map of the observation and the map of the action, such as
-            ``(-1, 2)`` for two numbers of which the mirror turns the first. Centres of mirroring
+            ``(-1, 2)`` for two numbers of which the mirror turns the first. Centers of mirroring
             must be 0: see :class:`rrl.inputs.Input`.
 
     Raises:

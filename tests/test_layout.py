@@ -25,6 +25,7 @@ IN_BETWEEN = {
     ROOT / "envs/insertion/config.py",  # what model, physics and task are all made by
 }
 """Files whose folder is both above and below another one, in no circle themselves."""
+WRITTEN = [*FOLDERS, "tests", "benchmarks", "examples", "docs"]
 LONGEST_FILE = 300
 """Lines."""
 EXTENSION_POINTS = {
@@ -208,10 +209,37 @@ def test_nothing_is_imported_in_a_circle():
     assert not circles(folders)
 
 
-@pytest.mark.parametrize("folder", [*FOLDERS, "tests", "benchmarks", "examples"])
+@pytest.mark.parametrize("folder", WRITTEN)
 def test_no_file_is_long(folder):
     lines = {p: len(p.read_text().splitlines()) for p in (ROOT / folder).rglob("*.py")}
     assert {path: n for path, n in lines.items() if n > LONGEST_FILE} == {}
+
+
+def raised(function: ast.FunctionDef) -> list[str]:
+    """What the body raises by name and lets out; errors that it catches itself are not listed."""
+    found, todo = [], list(function.body)
+    while todo:
+        node = todo.pop()
+        if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
+            found.append(ast.unparse(node.exc.func))
+        elif not isinstance(node, ast.FunctionDef | ast.Lambda | ast.ClassDef):
+            todo += node.handlers if isinstance(node, ast.Try) else ast.iter_child_nodes(node)
+    return [name for name in found if name != "AssertionError" and not name.startswith("_")]
+
+
+def test_what_raises_says_so():
+    for path in sources():
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef) and (doc := ast.get_docstring(node)):
+                public = not node.name.startswith("_")
+                assert not (public and raised(node)) or "Raises:" in doc, (path, node.name)
+
+
+def test_words_are_spelled_in_one_way():
+    files = [p for folder in WRITTEN for p in (ROOT / folder).rglob("*")]
+    other = re.compile("(?i)normali[s]|cent[r]e|behavio[u]r|neighbo[u]r|colo[u]r|optimi[s]")
+    for path in (p for p in files if p.suffix in (".py", ".yaml", ".md")):
+        assert not other.findall(path.read_text()), path
 
 
 def test_every_package_is_declared():

@@ -147,7 +147,7 @@ class RememberingPointMass(PointMass):
 
 
 class ResetsItself(PointMass):
-    """Starts the next episode within the step that ends one, as vectorised simulators do."""
+    """Starts the next episode within the step that ends one, as vectorized simulators do."""
 
     def __init__(self, *args, **kwargs) -> None:
         super().__init__(*args, **kwargs)

@@ -1,7 +1,7 @@
 """Whether the safety limits hold, under the worst commands that can be thought of.
 
 Plays episodes of full speed into table and blocks, oscillations, random commands, and commands that the cross-entropy
-method has optimised for harm, through the limits of ``configs/safety``: each of them alone, and all together. Prints the
+method has optimized for harm, through the limits of ``configs/safety``: each of them alone, and all together. Prints the
 largest value that was measured of what each promises, and fails if one is above the limit:
 
     python -m benchmarks.limits --episodes 10000 --record docs/data/limits.jsonl

@@ -1,4 +1,4 @@
-"""The worst commands that can be thought of, and an optimiser that looks for worse ones."""
+"""The worst commands that can be thought of, and an optimizer that looks for worse ones."""
 
 from __future__ import annotations
 

@@ -74,10 +74,10 @@ def adversary(
     env: EnvBase, generations: int, harm: str, safety: dict[str, Any], generator: torch.Generator
 ) -> Iterator[dict[str, Tensor]]:
     """Play commands that move to what does most ``harm``."""
-    optimiser = CrossEntropy(generator)
+    optimizer = CrossEntropy(generator)
     for _ in range(generations):
-        values = play(env, optimiser.draw(), safety)
-        optimiser.learn(values[harm])
+        values = play(env, optimizer.draw(), safety)
+        optimizer.learn(values[harm])
         yield values
 
 

@@ -141,7 +141,11 @@ class StatefulController(Controller):
 
     @abstractmethod
     def initial_state(self, tensordict: TensorDictBase) -> State:
-        """Return the state at the start of an episode, tensors ``[*batch, ...]``."""
+        """Return the state at the start of an episode, tensors ``[*batch, ...]``.
+
+        Raises:
+            NotImplementedError: If a subclass does not say.
+        """
         raise missing(self, "initial_state")
 
     def state_for(self, tensordict: TensorDictBase) -> State:

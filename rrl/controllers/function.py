@@ -90,7 +90,11 @@ class FunctionController(StatefulController):
         return {}
 
     def act(self, tensordict: TensorDictBase) -> Tensor:
-        """Return the action ``[*batch, n_act]``."""
+        """Return the action ``[*batch, n_act]``.
+
+        Raises:
+            ValueError: If the function gives an action of another shape.
+        """
         values = [self.read(tensordict, key) for key in self.in_keys]
         batch = tensordict.batch_size
         if self._batched:

@@ -54,7 +54,11 @@ class ProportionalController(Controller):
         return clipped(error * self._gain.to(error.dtype), self._clip)
 
     def error(self, tensordict: TensorDictBase) -> Tensor:
-        """Return x_g - x, ``[*batch, n]`` [m]."""
+        """Return x_g - x, ``[*batch, n]`` [m].
+
+        Raises:
+            ValueError: If position and goal have different shapes.
+        """
         position, goal = (floating(self.read(tensordict, key)) for key in self.in_keys)
         if position.shape != goal.shape:
             raise ValueError(

@@ -69,7 +69,11 @@ class SumController(Controller):
         super().fit(torch.zeros_like(middle))
 
     def act(self, tensordict: TensorDictBase) -> Tensor:
-        """Return the clipped sum ``[*batch, n_act]``."""
+        """Return the clipped sum ``[*batch, n_act]``.
+
+        Raises:
+            ValueError: If the actions have different shapes.
+        """
         total: Tensor | None = None
         for number, controller in enumerate(self.controllers):
             assert isinstance(controller, Controller)

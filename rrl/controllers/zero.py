@@ -40,7 +40,11 @@ class ZeroController(Controller):
             self._action = middle
 
     def act(self, tensordict: TensorDictBase) -> Tensor:
-        """Return the middle of the bounds in every slot, ``[*batch, n_act]``."""
+        """Return the middle of the bounds in every slot, ``[*batch, n_act]``.
+
+        Raises:
+            RuntimeError: If there is no size to take.
+        """
         if self._action is None:
             raise RuntimeError(
                 "action_size: expected a number or an environment to take it from, got neither"

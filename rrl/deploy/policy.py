@@ -108,7 +108,11 @@ class Policy:
 
 
 def onnx_graph(path: Path) -> Graph:
-    """Load a graph into onnxruntime: one thread that does not spin."""
+    """Load a graph into onnxruntime: one thread that does not spin.
+
+    Raises:
+        ImportError: If onnxruntime is not installed.
+    """
     try:
         import onnxruntime
     except ImportError as error:

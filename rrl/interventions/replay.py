@@ -62,7 +62,11 @@ class InterventionSampler(RandomSampler):
         self.share, self.key = check_share("share", share), key
 
     def sample(self, storage: Storage, batch_size: int) -> tuple[Tensor, dict[str, Any]]:
-        """Return indices ``[batch_size]`` into a storage of one dimension."""
+        """Return indices ``[batch_size]`` into a storage of one dimension.
+
+        Raises:
+            TypeError: If the storage holds no TensorDict.
+        """
         index, info = super().sample(storage, batch_size)
         stored: Any = storage[:]
         if not isinstance(stored, TensorDictBase):

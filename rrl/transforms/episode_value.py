@@ -88,7 +88,11 @@ class EpisodeValue(SlotTransform):
         return tensordict, tensordict_
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add one number a slot for each quantity."""
+        """Add one number a slot for each quantity.
+
+        Raises:
+            ValueError: If a quantity is not one number a slot.
+        """
         batch = observation_spec.shape
         for key, out_key in zip(self.in_keys, self.out_keys, strict=True):
             shape = require(self, observation_spec, key).shape

@@ -144,6 +144,9 @@ def through_hydra(
         arguments: Flags and overrides.
         run_dir: Directory of an earlier run.
         job: What to do with every configuration.
+
+    Raises:
+        RuntimeError: If runs of a sweep failed; a single one's error is raised as it is.
     """
     _prepare()
     failures: dict[str, Exception] = {}

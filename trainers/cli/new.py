@@ -36,7 +36,7 @@ def create(name: str, folder: Path) -> list[Path]:
         )
     target = folder / name
     if target.exists():
-        raise FileExistsError(f"{target} exists already: choose another name")
+        raise FileExistsError(f"name: expected a new one, got {name!r}: {target} exists already")
     if find_spec(name) is not None:
         raise ValueError(f"name: expected one that no package has, got {name!r}; choose another")
     written = []

@@ -44,7 +44,9 @@ def train_seeds(config: assembly.Config, run_dir: Path, console: Output, *, resu
     with claimed(run_dir):
         present = seed_directories(run_dir)
         if (run_dir / CHECKPOINTS).exists() or (present and not resume):
-            raise FileExistsError(f"{run_dir} holds a run already: choose another directory")
+            raise FileExistsError(
+                f"{run_dir}: expected a directory without a run, got one that holds a run already"
+            )
         for job in jobs:
             if job.path in present:
                 require_same_run(saved_note(job.path).get("config") or job.config, job.config)

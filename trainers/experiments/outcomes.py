@@ -128,7 +128,11 @@ class Outcome:
         return [min((s for s, rate in of_run if rate >= success), default=None) for of_run in rates]
 
     def curve(self, entry: str) -> Curve:
-        """Return an entry of the followed scenario's evaluations, over environment steps."""
+        """Return an entry of the followed scenario's evaluations, over environment steps.
+
+        Raises:
+            KeyError: If a run has no such entry.
+        """
         series = {i: run.evaluations(entry) for i, run in enumerate(self.runs)}
         if not all(series.values()):
             raise KeyError(metrics.name(metrics.EVALUATION, self.followed, entry))

@@ -110,22 +110,27 @@ class Experiment(_Section):
     @model_validator(mode="after")
     def _check(self) -> Experiment:
         if bool(self.tasks) != bool(self.changes):
-            raise ValueError("expected tasks and changes, or neither")
+            got = "tasks" if self.tasks else "changes"
+            raise ValueError(f"expected tasks and changes, or neither, got {got} alone")
         if bool(self.all_arms) == bool(self.runs_of):
-            raise ValueError("expected either arms or runs_of")
+            got = "both" if self.runs_of else "neither"
+            raise ValueError(f"expected either arms or runs_of, got {got}")
         if own := sorted(self.model_fields_set.intersection(OF_RUNS)) if self.runs_of else []:
             raise ValueError(f"expected no {own[0]} beside runs_of, which brings them")
         if self.figure == "sweep" and not (self.sweep or self.runs_of):
-            raise ValueError("figure: sweep needs a sweep")
+            raise ValueError("figure: sweep: expected a sweep, got none")
         if self.figure == "changes":
             self._check_changes()
         if (self.figure == "front") != (self.metric is not None):
-            raise ValueError("expected metric with figure: front, and only there")
+            raise ValueError(
+                "metric: expected one with figure: front, and only there, got "
+                f"{self.metric!r} with figure: {self.figure}"
+            )
         return self
 
     def _check_changes(self) -> None:
         if not self.tasks:
-            raise ValueError("figure: changes needs tasks and changes")
+            raise ValueError("figure: changes: expected tasks and changes, got none")
         if len(self.all_changes) < 2:
             raise ValueError(f"changes: expected at least two to compare, got {self.all_changes}")
         for arm in self.arms:

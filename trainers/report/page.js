@@ -1,4 +1,4 @@
-// Draws every chart from the JSON beside it, in the colours of the reader's light or dark theme. Traces may carry
+// Draws every chart from the JSON beside it, in the colors of the reader's light or dark theme. Traces may carry
 // meta: {"Run": "name", "Show": "seed 3"}; one bar of check boxes then switches all traces of a kind in all charts.
 (() => {
   const dark = window.matchMedia("(prefers-color-scheme: dark)");

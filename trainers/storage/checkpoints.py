@@ -40,7 +40,7 @@ import torch
 from torchrl.checkpoint import Checkpoint, CheckpointAdapter
 
 from ..generators import Generators
-from .files import check_seal, lock, read_note, seal, sync
+from .files import check_seal, fsync, lock, read_note, seal
 from .plain_state import from_plain, to_plain
 from .run_files import CHECKPOINTS
 
@@ -101,7 +101,7 @@ class Checkpoints:
             shutil.rmtree(stage, ignore_errors=True)
             raise OSError(f"cannot write checkpoint {destination}: {error}") from error
         stage.rename(destination)
-        sync(self._folder)
+        fsync(self._folder)
         for path in _found(self._folder)[: -self._keep]:
             path.rename(path.with_name(f".{path.name}"))
         self._sweep()
@@ -162,11 +162,11 @@ def newest_whole(
         return path, note, torn
     if reasons:
         raise ValueError(
-            f"no checkpoint in {folder} is whole:\n"
+            f"{folder}: expected a checkpoint that is whole, got none:\n"
             + "\n".join(f"  {reason}" for reason in reasons)
         )
     raise FileNotFoundError(
-        f"no checkpoint in {folder}: expected the directory of a run that saved at least one"
+        f"{folder}: expected the directory of a run that saved a checkpoint, got one without any"
     )
 
 

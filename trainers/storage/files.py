@@ -28,7 +28,7 @@ def write_atomically(path: Path, text: str) -> None:
         file.flush()
         os.fsync(file.fileno())
     partial.replace(path)
-    sync(path.parent)
+    fsync(path.parent)
 
 
 def number_of(path: Path) -> int:
@@ -52,9 +52,9 @@ def write_tail(folder: Path, count: int, starts: Mapping[Path, int]) -> Path | N
     out = folder / f"tail_{count:012d}_{taken:03d}.bin"
     partial = out.with_suffix(".partial")
     partial.write_bytes(data)
-    sync(partial)
+    fsync(partial)
     partial.replace(out)
-    sync(folder)
+    fsync(folder)
     return out
 
 
@@ -65,17 +65,17 @@ def cut_files(folder: Path, starts: dict[Path, int]) -> None:
             os.truncate(path, start)
         else:
             path.unlink()
-    sync(folder)
+    fsync(folder)
 
 
-def sync(path: Path) -> None:
-    """Have the disk itself hold a file's content, or a directory's list of names.
+def fsync(path: Path) -> None:
+    """Flush a file's content, or a directory's list of names, to the disk.
 
     Some file systems (network shares, FUSE) have no such operation for a directory and say EINVAL;
     there it is theirs to keep the names.
 
     Raises:
-        OSError: With the path, if the disk cannot hold it.
+        OSError: With the path, if that fails.
     """
     descriptor = os.open(path, os.O_RDONLY)
     try:
@@ -128,7 +128,9 @@ def lock(folder: Path) -> int:
                 raise
         return _locked(folder / LOCK, os.O_RDWR | os.O_CREAT)
     except BlockingIOError:
-        raise BlockingIOError(f"{folder}: another process is training in this directory") from None
+        raise BlockingIOError(
+            f"{folder}: expected a directory that is free, but another process is training in it"
+        ) from None
 
 
 def require_unclaimed(folder: Path) -> None:
@@ -171,11 +173,11 @@ def seal(folder: Path, note: Mapping[str, Any]) -> None:
     files = sorted(p for p in folder.rglob("*") if p.is_file())
     inventory = {str(path.relative_to(folder)): fingerprint(path) for path in files}
     for path in files:
-        sync(path)
+        fsync(path)
     content = {"version": SCHEMA_VERSION, "files": inventory, "note": dict(note)}
     write_atomically(folder / SEAL, sealed(content))
     for directory in (*(p for p in folder.rglob("*") if p.is_dir()), folder):
-        sync(directory)
+        fsync(directory)
 
 
 def check_seal(folder: Path) -> dict[str, Any]:
@@ -191,12 +193,12 @@ def check_seal(folder: Path) -> dict[str, Any]:
     for name, expected in content["files"].items():
         path = folder / name
         if not path.is_file():
-            raise ValueError(f"{name} is missing")
+            raise ValueError(f"{name}: expected a file, got none")
         found = fingerprint(path)
         if found["bytes"] != expected["bytes"]:
-            raise ValueError(f"{name} has {found['bytes']} bytes, {expected['bytes']} were written")
+            raise ValueError(f"{name}: expected {expected['bytes']} bytes, got {found['bytes']}")
         if found != expected:
-            raise ValueError(f"{name} is not what was written (SHA-256 differs)")
+            raise ValueError(f"{name}: expected what was written, got another SHA-256")
     return dict(content["note"])
 
 
@@ -213,11 +215,11 @@ def _read_content(path: Path) -> dict[str, Any]:
     try:
         content = unsealed(path.read_bytes())
     except FileNotFoundError:
-        raise ValueError(f"{path.name} is missing") from None
+        raise ValueError(f"{path.name}: expected a file, got none") from None
     except ValueError as error:
         raise ValueError(f"{path.name} is {error}") from error
     if content["version"] != SCHEMA_VERSION:
         raise ValueError(
-            f"written with schema version {content['version']}, this code reads {SCHEMA_VERSION}"
+            f"{path.name}: expected schema version {SCHEMA_VERSION}, got {content['version']}"
         )
     return content

@@ -31,7 +31,7 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict
 
-from .files import cut_files, number_of, sync, write_at, write_atomically, write_tail
+from .files import cut_files, fsync, number_of, write_at, write_atomically, write_tail
 from .transition_log import TransitionLog
 
 Frames = NDArray[np.uint8]
@@ -146,14 +146,14 @@ class FrameLog:
     def sync(self) -> None:
         """Fsync what was appended since the last time."""
         for path in self._unsynced:
-            sync(path)
+            fsync(path)
         self._unsynced.clear()
         self._index.sync()
 
     def sync_all(self) -> None:
         """Fsync every file, whichever process has appended to it."""
         for path in (*self._files(), self.folder):
-            sync(path)
+            fsync(path)
         self._index.sync_all()
 
     def cut(self, count: int) -> None:
@@ -190,9 +190,9 @@ class FrameLog:
             self.image, self.frame = tuple(about["image"]), tuple(about["frame"])
             self._per_file = int(about["frames_per_file"])
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise ValueError(f"{path} does not describe frames: {error}") from error
+            raise ValueError(f"{path}: expected a description of frames, got {error}") from error
         if version != VERSION:
-            raise ValueError(f"{path} has version {version}, this code reads {VERSION}")
+            raise ValueError(f"{path}: expected version {VERSION}, got {version}")
 
     def _files(self) -> list[Path]:
         return sorted(self.folder.glob("frames_*.bin"))
@@ -226,7 +226,7 @@ class FrameLog:
         """Yield frames from one that stands for itself on, and whether each is what was written."""
         path = self._path(file)
         if not path.is_file():
-            raise ValueError(f"{path} is missing: expected frames {first} to {last - 1}")
+            raise ValueError(f"{path}: expected frames {first} to {last - 1}, got no file")
         data = path.read_bytes()
         index, damaged = self._index.read(first, last)
         frame, sound = np.zeros(self.frame, np.uint8), False

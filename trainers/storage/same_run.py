@@ -65,7 +65,7 @@ def require_same_run(saved: Mapping[str, Any], current: Mapping[str, Any]) -> No
     ]
     if changed:
         raise ValueError(
-            "this is not the configuration that the run was made with:\n"
+            "expected the configuration that the run was made with, got another one:\n"
             + "\n".join(changed)
             + "\nResume with the old "
             "values or start a new run. What may change: " + ", ".join(MAY_CHANGE)

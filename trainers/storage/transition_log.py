@@ -32,7 +32,7 @@ import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 
-from .files import cut_files, number_of, sync, write_at, write_atomically, write_tail
+from .files import cut_files, fsync, number_of, write_at, write_atomically, write_tail
 from .records import CHECKSUM, Records, columns, pack, raw, record_dtype
 
 FOLDER = "transitions"
@@ -105,17 +105,17 @@ class TransitionLog:
     def sync(self) -> None:
         """Fsync what was appended since the last time."""
         for path in self._unsynced:
-            sync(path)
+            fsync(path)
         if self._unsynced:
-            sync(self.folder)
+            fsync(self.folder)
         self._unsynced.clear()
 
     def sync_all(self) -> None:
         """Fsync every segment, whichever process has appended to it."""
         for path in self._segments():
-            sync(path)
+            fsync(path)
         if self.folder.is_dir():
-            sync(self.folder)
+            fsync(self.folder)
 
     def cut(self, count: int) -> Path | None:
         """Set the records from ``count`` on aside in a tail file of the same format.
@@ -177,9 +177,9 @@ class TransitionLog:
             self._per_segment = int(schema["records_per_segment"])
             self._dtype = record_dtype(schema["fields"])
         except (ValueError, KeyError, TypeError) as error:
-            raise ValueError(f"{path} does not describe transitions: {error}") from error
+            raise ValueError(f"{path}: expected a description of records, got {error}") from error
         if version != VERSION:
-            raise ValueError(f"{path} has version {version}, this code reads {VERSION}")
+            raise ValueError(f"{path}: expected version {VERSION}, got {version}")
         segments = self._segments()
         if segments:
             whole = segments[-1].stat().st_size // self._record.itemsize
@@ -225,7 +225,7 @@ class TransitionLog:
                     path, self._record, number, offset=offset * self._record.itemsize
                 )
             if len(part) < number:
-                raise ValueError(f"{path} ends before record {at + number}")
+                raise ValueError(f"{path}: expected record {at + number}, got the end of the file")
             parts.append(part)
             at += number
         return np.concatenate(parts) if parts else np.empty(0, self._record)

@@ -52,7 +52,11 @@ class Interruption:
         log.warning("%s: %s; another signal stops at once", number.name, self._answer)
 
     def check(self) -> None:
-        """Raise :class:`Interrupted` if somebody asked."""
+        """Raise :class:`Interrupted` if somebody asked.
+
+        Raises:
+            Interrupted: If somebody did.
+        """
         if self.signal is not None:
             raise Interrupted(self.signal)
 

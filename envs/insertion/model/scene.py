@@ -68,7 +68,7 @@ def _stand_blocks(arena: PlatformArena, config: InsertionConfig) -> list[Any]:
 def _add_joints(frame: Any, kind: str) -> None:
     """Add the degrees of freedom of a standing block.
 
-    A rigid block cannot topple with its centre at a fixed height, so the planar block of the paper
+    A rigid block cannot topple with its center at a fixed height, so the planar block of the paper
     (slide x, slide y, topple about y) also slides along z, where the platform holds it up.
     """
     if kind == "free":

@@ -1,4 +1,4 @@
-"""Bounds of an action, and the range that a normalised action unit stands for."""
+"""Bounds of an action, and the range that a normalized action unit stands for."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ UNBOUNDED = 1e10
 class ActionLimits(NamedTuple):
     """Bounds of one action entry, tensors of the entry's shape.
 
-    ``half_range`` is (high - low) / 2, what one normalised action unit stands for. A dimension
-    without bounds has the limits -inf and inf and counts as normalised already, with a half range
+    ``half_range`` is (high - low) / 2, what one normalized action unit stands for. A dimension
+    without bounds has the limits -inf and inf and counts as normalized already, with a half range
     of 1.
     """
 

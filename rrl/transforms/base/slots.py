@@ -154,7 +154,11 @@ class SlotTransform(Transform):
         return self.forward(next_tensordict)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Refuse data outside an environment, such as samples of a replay buffer."""
+        """Refuse data outside an environment, such as samples of a replay buffer.
+
+        Raises:
+            RuntimeError: Always.
+        """
         raise RuntimeError(
             f"{type(self).__name__}: expected steps of an environment, got data without an order "
             "in time; append it to a TransformedEnv"

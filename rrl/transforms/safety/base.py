@@ -23,7 +23,7 @@ class SafetyLimit(ActionTransform):
     subclass says what it remembers of an observation (:meth:`measure`), what it makes of an action
     (:meth:`limit`), and what is safe if one of the two is NaN or infinite (:meth:`hold`). The
     measurement is taken at the transform's place in the list, before sensing faults and
-    normalisation.
+    normalization.
 
     policy -> env: reads and writes ``action_key``.
     env -> policy: reads ``in_keys``, writes ("safety", name), bool ``[*batch, 1]``: whether this
@@ -50,6 +50,9 @@ class SafetyLimit(ActionTransform):
             tensordict: Observations at the transform's place.
             action: The executed action that led to them, ``[*batch, n_act]``; :meth:`start` at a
                 reset.
+
+        Raises:
+            NotImplementedError: If a subclass has none.
         """
         raise missing(self, "measure")
 
@@ -65,6 +68,9 @@ class SafetyLimit(ActionTransform):
         """Return the safe action ``[*batch, n_act]``.
 
         It equals ``action`` bit for bit where that is safe.
+
+        Raises:
+            NotImplementedError: If a subclass has none.
         """
         raise missing(self, "limit")
 
@@ -111,7 +117,11 @@ class SafetyLimit(ActionTransform):
         return measured.clone()  # an environment may change its own tensors in place
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add the flag that says whether the last action was changed."""
+        """Add the flag that says whether the last action was changed.
+
+        Raises:
+            ValueError: If an observation has no dimension beside the batch.
+        """
         sizes = {}
         for key in self.in_keys:
             spec = require(self, observation_spec, key)
@@ -167,7 +177,11 @@ class CommandLimit(SafetyLimit):
 
 
 def check_sizes_equal(sizes: dict[NestedKey, int], action_size: int) -> None:
-    """Raise a ValueError unless each entry has one number for each dimension of the action."""
+    """Raise a ValueError unless each entry has one number for each dimension of the action.
+
+    Raises:
+        ValueError: If an entry has more or fewer.
+    """
     for key, size in sizes.items():
         if size != action_size:
             raise ValueError(

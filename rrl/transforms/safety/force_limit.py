@@ -134,7 +134,11 @@ class ForceLimit(SafetyLimit):
         return ((self.maximum - size) / (self.maximum - self.onset)).clamp(0.0, 1.0)
 
     def check_sizes(self, sizes: dict[NestedKey, int], action_size: int) -> None:
-        """Hold stiffness, force and axes to the action's size."""
+        """Hold stiffness, force and axes to the action's size.
+
+        Raises:
+            ValueError: If an axis is none of them.
+        """
         for name, value in (("stiffness", self.stiffness), ("unit", self.unit)):
             check_length(name, value, action_size, "the action")
         for key, size in sizes.items():

@@ -97,7 +97,11 @@ class ObservationNoise(SensingFault):
             check_length(name, value, shape[-1:].numel(), f"the observation {key!r}")
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Write the noisy observations' specs, which have no bounds."""
+        """Write the noisy observations' specs, which have no bounds.
+
+        Raises:
+            TypeError: If an observation is of whole numbers or flags.
+        """
         for in_key, out_key in zip(self.in_keys, self.out_keys, strict=True):
             spec = require(self, observation_spec, in_key)
             self._check_lengths(in_key, spec.shape[observation_spec.ndim :])

@@ -58,7 +58,7 @@ def test_all_but_the_picture_is_the_task_without_a_camera(variant: str) -> None:
 
 
 def test_a_picture_shows_its_own_slot_as_it_stands(variant: str) -> None:
-    """Motion and yaw are in it, and neighbours, earlier pictures and other cameras are not."""
+    """Motion and yaw are in it, and neighbors, earlier pictures and other cameras are not."""
     batch = InsertionPixelsEnv(variant, num_envs=3, seed=5, place_range=(0.03, 0.03))
     alone = [InsertionPixelsEnv(variant, seed=5 + i, place_range=(0.03, 0.03)) for i in range(3)]
     first = batch.reset()["pixels"]

@@ -113,7 +113,7 @@ def test_any_module_as_the_controller() -> None:
 
 
 def test_a_controller_that_remembers_a_nan_starts_anew() -> None:
-    """The sensor breaks for one step; its slot ends, its neighbour does not notice."""
+    """The sensor breaks for one step; its slot ends, its neighbor does not notice."""
     pid = PIDController(gain=0.3, integral_gain=0.5)
     inner, env = chain(FiniteAction(), Breaks(3, 4), ResidualAction(pid))
     zeros = torch.zeros(2, 2)

@@ -140,7 +140,7 @@ def test_a_residual_can_solve_what_the_controller_cannot() -> None:
     assert success([-0.6, 0.0]).all()
 
 
-def test_a_later_normaliser_does_not_reach_the_controller() -> None:
+def test_a_later_normalizer_does_not_reach_the_controller() -> None:
     def records(*later):
         return drive(
             TransformedEnv(PointMass(), Compose(ResidualAction(proportional()), *later)),
@@ -148,8 +148,8 @@ def test_a_later_normaliser_does_not_reach_the_controller() -> None:
         )
 
     plain = records()
-    normalised = records(ObservationNorm(loc=3.0, scale=0.1, in_keys=[POSITION]))
-    for one, other in zip(plain, normalised, strict=True):
+    normalized = records(ObservationNorm(loc=3.0, scale=0.1, in_keys=[POSITION]))
+    for one, other in zip(plain, normalized, strict=True):
         assert torch.equal(one["base_action"], other["base_action"])
         assert not torch.equal(one[POSITION], other[POSITION])
 
@@ -161,13 +161,13 @@ def test_a_later_normaliser_does_not_reach_the_controller() -> None:
         partial(VecNormV2, in_keys=[POSITION, "base_action"]),
     ],
 )
-def test_a_normaliser_may_not_change_what_is_executed(make) -> None:
+def test_a_normalizer_may_not_change_what_is_executed(make) -> None:
     env = TransformedEnv(PointMass(), Compose(ResidualAction(proportional()), make()))
     with pytest.raises(RuntimeError, match="'base_action': expected what the controller said"):
         env.reset()
 
 
-def test_a_normaliser_may_show_the_base_action_as_another_entry() -> None:
+def test_a_normalizer_may_show_the_base_action_as_another_entry() -> None:
     norm = ObservationNorm(loc=0.3, scale=5.0, in_keys=["base_action"], out_keys=["seen"])
     casts = DTypeCastTransform(torch.float32, torch.float64, in_keys=["base_action"])
     later = Compose(ResidualAction(proportional(), scale=0.0), norm, casts)
@@ -177,7 +177,7 @@ def test_a_normaliser_may_show_the_base_action_as_another_entry() -> None:
     assert not torch.equal(tensordict["seen"], tensordict["base_action"])
 
 
-def test_an_earlier_normaliser_does() -> None:
+def test_an_earlier_normalizer_does() -> None:
     norm = ObservationNorm(loc=0.1, scale=1.0, in_keys=[POSITION])
     shifted = TransformedEnv(PointMass(), Compose(norm, ResidualAction(proportional()))).reset()
     plain = TransformedEnv(PointMass(), ResidualAction(proportional())).reset()

@@ -22,7 +22,7 @@ BROKEN = {
     "+trainer.evaluation.evry=3": ["trainer.evaluation.evry: unknown key"],
     "+trainer.total_step=3": ["trainer.total_step: unknown key", "did you mean total_steps?"],
     "+trainer.gpu=cuda": ["trainer.gpu: unknown key", "cuda"],
-    "+render.colour=red": ["render.colour: unknown key", "red"],
+    "+render.color=red": ["render.color: unknown key", "red"],
     "+env.inptus.goal={}": ["env.inptus: unknown key"],
     "+speed=fast": ["speed: expected speed=fast to exchange it, got +speed=fast"],
     "++algorithm=sac": ["algorithm: expected algorithm=sac to exchange it", "++algorithm=sac"],

@@ -144,7 +144,7 @@ def test_the_figure_is_empty_while_there_is_nothing_to_compare(outcome, change, 
         ({"changes": {"the default": ()}}, "changes: expected at least two to compare"),
         (
             {"tasks": {}, "changes": {}, "arms": {"a": ()}},
-            "figure: changes needs tasks and changes",
+            "figure: changes: expected tasks and changes, got none",
         ),
         (
             {"arms": {"pull, without a price": ()}},

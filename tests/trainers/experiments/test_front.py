@@ -68,8 +68,8 @@ def test_a_front_shows_every_arm_and_the_controller(driven, run):
     ("change", "message"),
     [
         ({"metric": "force"}, r"front.metric: expected one of env.metrics \(effort\), got 'force'"),
-        ({"metric": None}, "expected metric with figure: front, and only there"),
-        ({"figure": "table"}, "expected metric with figure: front, and only there"),
+        ({"metric": None}, "expected one with figure: front, and only there, got None"),
+        ({"figure": "table"}, "got 'effort' with figure: table"),
     ],
 )
 def test_a_front_without_its_quantity_is_explained(driven, folders, compose, change, message):

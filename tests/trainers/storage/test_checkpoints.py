@@ -83,7 +83,8 @@ def test_when_none_is_whole_every_reason_is_given(stopped, make):
         truncate(path / "components/0000-agent/state.pt")
     trainer = make()
     with pytest.raises(
-        ValueError, match=r"(?s)no checkpoint in .* is whole.*200: .*state.pt has .*100: .*state.pt"
+        ValueError,
+        match=r"(?s)expected a checkpoint that is whole.*200: .*state.pt: expected .*100: .*state.pt",
     ):
         trainer.resume()
     trainer.close()
@@ -92,7 +93,7 @@ def test_when_none_is_whole_every_reason_is_given(stopped, make):
 def test_another_schema_version_is_named(stopped, make, monkeypatch):
     monkeypatch.setattr(files, "SCHEMA_VERSION", 3)
     trainer = make()
-    with pytest.raises(ValueError, match="written with schema version 2, this code reads 3"):
+    with pytest.raises(ValueError, match="expected schema version 3, got 2"):
         trainer.resume()
     trainer.close()
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from rrl.trainers.settings import CheckpointSettings
-from rrl.trainers.storage.files import lock, sync
+from rrl.trainers.storage.files import fsync, lock
 from rrl.trainers.storage.space_needed import memory_bytes, require_room
 from rrl.trainers.training.realtime.hand_over import HandOver
 from situation_commands import start
@@ -80,9 +80,9 @@ def test_a_file_system_that_cannot_sync_a_folder_is_no_hindrance():
     folder = Path("/proc/self")
     with pytest.raises(OSError, match="Invalid argument"):
         os.fsync(os.open(folder, os.O_RDONLY))
-    sync(folder)
+    fsync(folder)
     with pytest.raises(OSError, match="Invalid argument: '/proc/self/status'"):
-        sync(folder / "status")
+        fsync(folder / "status")
 
 
 @pytest.fixture
@@ -104,7 +104,7 @@ def _on_nfs(monkeypatch):
 @pytest.mark.usefixtures("_on_nfs")
 def test_a_folder_on_nfs_is_claimed_once(tmp_path):
     claimed = lock(tmp_path)
-    with pytest.raises(BlockingIOError, match="another process is training in this directory"):
+    with pytest.raises(BlockingIOError, match="another process is training in it"):
         lock(tmp_path)
     os.close(claimed)
     os.close(lock(tmp_path))

@@ -113,12 +113,14 @@ def test_a_torn_frame_is_written_over(log):
 
 def test_an_unreadable_description_is_named(log):
     (log.folder / "image.json").write_text(json.dumps({"version": 1}))
-    with pytest.raises(ValueError, match=r"image.json does not describe frames"):
+    with pytest.raises(ValueError, match=r"image.json: expected a description of frames"):
         FrameLog(log.folder)
 
 
 def test_opening_makes_nothing(tmp_path):
-    with pytest.raises(ValueError, match=r"image.json does not describe frames: .*No such file"):
+    with pytest.raises(
+        ValueError, match=r"image.json: expected a description of frames, got .*No such file"
+    ):
         FrameLog(tmp_path / "images_00")
     assert not list(tmp_path.iterdir())
 

@@ -18,7 +18,7 @@ def synced(monkeypatch):
     """What is synced from now on."""
     paths = []
     for module in (frame_log, transition_log):
-        monkeypatch.setattr(module, "sync", paths.append)
+        monkeypatch.setattr(module, "fsync", paths.append)
     return paths
 
 

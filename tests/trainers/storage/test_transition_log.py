@@ -12,7 +12,7 @@ from rrl.trainers.storage.transition_log import TransitionLog
 
 
 def transitions(first, number):
-    """Recognisable transitions: every field tells the record's number."""
+    """Recognizable transitions: every field tells the record's number."""
     n = torch.arange(first, first + number)
     return TensorDict(
         {
@@ -120,7 +120,7 @@ def test_old_segments_are_forgotten_whole(tmp_path):
         "segment_000002.bin",
     ]
     assert_reads(log, 10, 25)
-    with pytest.raises(ValueError, match=r"segment_000000.bin ends before record 10"):
+    with pytest.raises(ValueError, match=r"segment_000000.bin: expected record 10, got the end"):
         log.read(5, 25)
     assert TransitionLog(tmp_path).count == 25
 
@@ -158,7 +158,7 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, monkeypatch):
 def test_a_schema_that_cannot_be_read_is_named(tmp_path):
     filled(tmp_path)
     (tmp_path / "schema.json").write_text("{}")
-    with pytest.raises(ValueError, match=r"schema.json does not describe transitions"):
+    with pytest.raises(ValueError, match=r"schema.json: expected a description of records"):
         TransitionLog(tmp_path)
 
 
@@ -175,6 +175,6 @@ def test_a_reader_sees_what_another_process_has_appended_since(tmp_path):
 def test_what_another_process_has_appended_is_on_disk_when_asked_for(tmp_path, monkeypatch):
     filled(tmp_path).close()
     reader, synced = TransitionLog(tmp_path), []
-    monkeypatch.setattr("rrl.trainers.storage.transition_log.sync", synced.append)
+    monkeypatch.setattr("rrl.trainers.storage.transition_log.fsync", synced.append)
     reader.sync_all()
     assert set(tmp_path.glob("segment_*.bin")) | {tmp_path} == set(synced)

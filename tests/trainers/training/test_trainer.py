@@ -108,7 +108,9 @@ def test_resuming_equals_never_having_stopped(make_trainer, variant):
 
 def test_resuming_without_a_checkpoint_says_so(make_trainer):
     trainer = make_trainer()
-    with pytest.raises(FileNotFoundError, match="no checkpoint in"):
+    with pytest.raises(
+        FileNotFoundError, match="a run that saved a checkpoint, got one without any"
+    ):
         trainer.resume()
     trainer.close()
 
