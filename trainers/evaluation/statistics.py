@@ -18,7 +18,7 @@ Interval = tuple[float, float]
 Values: TypeAlias = "Sequence[float] | NDArray[Any]"
 
 NO_INTERVAL = (float("nan"), float("nan"))
-"""What one run says about others."""
+"""What one run says about others, and values that are all alike where they have no bounds."""
 
 CONFIDENCE = 0.95
 """Probability with which the intervals cover."""
@@ -27,6 +27,8 @@ _MEAN_PRIOR = 0.75
 _SPREAD_PRIOR = 0.2
 """Of the root of the correlation within a run: half-Cauchy with this scale (Gelman, 2006)."""
 _MEANS, _SPREADS = 400, 40
+_ROUNDING = 1e-9
+"""Share of the largest value by which equal ones may seem to differ."""
 
 
 def wilson(successes: int, trials: int) -> Interval:
@@ -113,12 +115,18 @@ def _beta_binomial(counts: tuple[float, ...], episodes: float) -> Interval:
 
 
 def mean_interval(values: Values) -> Interval:
-    """Return Student's t interval of the mean over runs; not a number for a single run."""
+    """Return Student's t interval of the mean over runs; not a number if none of them differ."""
     array = np.asarray(values, dtype=float)
     if len(array) < 2:
         return NO_INTERVAL
     half = float(stats.sem(array) * stats.t.ppf(0.5 + CONFIDENCE / 2, len(array) - 1))
-    return float(array.mean()) - half, float(array.mean()) + half
+    return _with_width(float(array.mean()) - half, float(array.mean()) + half, array)
+
+
+def _with_width(low: float, high: float, *values: Values) -> Interval:
+    """The interval of values, but none that is a point, which would say that it is certain."""
+    largest = max(float(np.abs(array).max()) for array in values)
+    return (low, high) if high - low > _ROUNDING * largest else NO_INTERVAL
 
 
 def paired_interval(*differences: Values, bound: float | None = None) -> Interval:
@@ -126,7 +134,7 @@ def paired_interval(*differences: Values, bound: float | None = None) -> Interva
 
     The squared errors over runs and over episodes are added, with Satterthwaite's degrees of
     freedom. Differences with a bound, as of successes, get one more episode at either bound
-    (Bonett and Price, 2012): the interval never has zero width.
+    (Bonett and Price, 2012). Without one, there is no interval where all are alike.
 
     Args:
         differences: One arm less the other for every run and episode, ``[S, N]``; several are of
@@ -142,7 +150,8 @@ def paired_interval(*differences: Values, bound: float | None = None) -> Interva
     if not all(errors):
         return NO_INTERVAL
     parts = [(part / len(tables) ** 2, freedom) for error in errors for part, freedom in error]
-    return _satterthwaite(float(np.mean([table.mean() for table in tables])), parts, bound)
+    difference = float(np.mean([table.mean() for table in tables]))
+    return _satterthwaite(difference, parts, bound, tables)
 
 
 def _paired_errors(table: NDArray[Any]) -> list[tuple[float, int]]:
@@ -156,8 +165,8 @@ def unpaired_interval(values: Values, others: Values, bound: float | None = None
 
     Welch's interval. Runs of the first arm may differ: its error is that of their means where that
     is larger than the one of all its episodes together. The second arm is the same in all runs.
-    With a bound each arm gets one more episode at either end (Agresti and Caffo, 2000): the
-    interval never has zero width.
+    With a bound each arm gets one more episode at either end (Agresti and Caffo, 2000). Without
+    one, there is no interval where all values of each are alike.
 
     Args:
         values: The first arm's, for every run and episode, ``[S, N]``.
@@ -174,20 +183,21 @@ def unpaired_interval(values: Values, others: Values, bound: float | None = None
         between = runs.mean(axis=1).var(ddof=1) / len(runs), len(runs) - 1
         parts[0] = max(parts[0], between)
     difference = float(arms[0].mean() - arms[1].mean())
-    return _satterthwaite(difference, parts, bound)
+    return _satterthwaite(difference, parts, bound, arms)
 
 
 def _satterthwaite(
     difference: float,
     errors: Sequence[tuple[float, int]],
     bound: float | None,
+    values: Sequence[Values],
 ) -> Interval:
     """Student's t interval of a difference whose squared errors, with their freedoms, add up."""
     error = sum(part for part, _ in errors)
     weights = sum(part**2 / freedom for part, freedom in errors)
     freedom = error**2 / weights if weights else 1.0
     half = float(np.sqrt(error) * stats.t.ppf(0.5 + CONFIDENCE / 2, freedom))
-    low, high = difference - half, difference + half
+    low, high = _with_width(difference - half, difference + half, *values)
     return (low, high) if bound is None else (max(low, -bound), min(high, bound))
 
 
@@ -199,17 +209,15 @@ def iqm(*strata: Values) -> float:
     return float(stats.trim_mean(np.concatenate(strata), 0.25))
 
 
-def iqm_interval(*strata: Values, resamples: int = 2000) -> Interval:
+def iqm_interval(*strata: Values) -> Interval:
     """Return the stratified percentile bootstrap of :func:`iqm`.
 
     Runs are drawn anew within each stratum (task or setting). Not a number if a stratum has a
-    single run, or a value that is none.
+    single run or a value that is none, or if nearly all values are alike.
     """
     arrays = [np.asarray(values, dtype=float) for values in strata]
     if any(len(values) < 2 or not np.isfinite(values).all() for values in arrays):
         return NO_INTERVAL
-    if np.ptp(np.concatenate(arrays)) == 0:
-        return iqm(*arrays), iqm(*arrays)
 
     def statistic(*samples: np.ndarray, axis: int) -> np.ndarray:
         return np.asarray(stats.trim_mean(np.concatenate(samples, axis), 0.25, axis))
@@ -217,12 +225,12 @@ def iqm_interval(*strata: Values, resamples: int = 2000) -> Interval:
     interval = stats.bootstrap(
         arrays,
         statistic,
-        n_resamples=resamples,
+        n_resamples=2000,
         confidence_level=CONFIDENCE,
         method="percentile",
         rng=np.random.default_rng(0),
     ).confidence_interval
-    return float(interval.low), float(interval.high)
+    return _with_width(float(interval.low), float(interval.high), *arrays)
 
 
 def mcnemar(rescues: int, regressions: int) -> float:

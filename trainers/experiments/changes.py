@@ -28,7 +28,8 @@ READING = (
     "the first on the same seeds and the same episodes. The mean is over the tasks that the change "
     "is made on, if all of them report success. The tasks are fixed: its interval speaks of runs "
     "and episodes like these on these tasks. With a star: of a single run, on one of the tasks at "
-    "least; the interval is over its episodes, and another seed may be far from it."
+    "least; the interval is over its episodes, and another seed may be far from it. No interval: "
+    "numbers of a single run, or numbers that are all alike."
 )
 """How the tables are to be read."""
 MEAN = "mean of the tasks"

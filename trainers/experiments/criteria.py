@@ -6,7 +6,7 @@ import numpy as np
 
 from ..evaluation.statistics import Interval, mean_interval, rate_interval
 from ..metric_names import CONTROLLER
-from ..report.tables import with_interval
+from ..report.tables import brackets, with_interval
 from .outcomes import ROUNDING, SOLVED, Finding, Outcome
 
 RESIDUAL, ALONE = "residual RL", "RL alone"
@@ -78,11 +78,11 @@ def success_grows(finding: Finding) -> tuple[bool, str]:
     curve = finding.outcomes[0].curve("success")
     first, last = curve.values[:, 0], curve.values[:, -1]
     episodes = int(finding.outcomes[0].point.config["trainer"]["evaluation"]["episodes"])
-    low, high = rate_interval(np.rint(last * episodes), episodes)
+    interval = rate_interval(np.rint(last * episodes), episodes)
     text = f"success at step {curve.steps[0]:.0f}: {first.mean():.0%}, "
     text += f"at {curve.steps[-1]:.0f}: {last.mean():.0%} "
-    text += f"[{low:.0%}, {high:.0%}]"
-    return bool(last.mean() >= 15 / 20 - ROUNDING and _interval(last - first)[0] > 0), text
+    text += brackets(interval, ".0f", 100.0, "%")
+    return bool(last.mean() >= 15 / 20 - ROUNDING and interval[0] > first.mean()), text
 
 
 def learns_under_bias(finding: Finding) -> tuple[bool, str]:
@@ -160,7 +160,7 @@ def _interval(values: np.ndarray) -> Interval:
     """The interval of a mean over seeds, without which a claim cannot be tested."""
     interval = mean_interval(values)
     if np.isnan(interval).any():
-        raise IndexError("at least two seeds, and numbers from all of them")
+        raise IndexError("at least two seeds, and numbers from all of them that differ")
     return interval
 
 

@@ -16,6 +16,7 @@ from ..loggers import metrics
 from ..metric_names import CONTROLLER
 from ..report.curves import Curve, Floats, curve
 from ..report.runs import Run
+from ..report.tables import brackets
 from .plan import Point, run_directory
 from .spread import spatial_variance
 
@@ -41,9 +42,9 @@ class Counts:
         return float(self.solved.mean())
 
     def __str__(self) -> str:
-        low, high = success_interval(self.solved)
         each = "/".join(map(str, self.solved.sum(axis=1)))
-        return f"{each} of {self.solved.shape[1]} [{low:.0%}, {high:.0%}]"
+        interval = brackets(success_interval(self.solved), ".0f", 100.0, "%")
+        return f"{each} of {self.solved.shape[1]} {interval}"
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,8 @@ STATISTICS = (
     "the controller alone runs the same episodes. Means are over seeds with Student's t interval; "
     "intervals of final success are over runs and the episodes that all of them play, bands of "
     "curves over runs on these episodes; IQM is the interquartile mean with a stratified "
-    "bootstrap, which of at most three seeds is their mean."
+    "bootstrap, which of at most three seeds is their mean. Numbers that are all alike, and those "
+    "of a single seed, have no interval, unless they are of final success."
 )
 CLAIMS_HEADER = ["claim", "the paper", "verdict", "numbers", "criterion"]
 
@@ -163,10 +164,8 @@ def _tables(page: Page | MarkdownPage, experiment: Experiment, finding: Finding)
         if rows:  # none where no arm reports success
             page.table(header, rows)
     for arm in finding.arms if experiment.sweep else ():
-        outcomes = finding.arm(arm)
-        known = [entry for entry in ("return", "success") if outcomes[0].knows(entry)]
-        text = "; ".join(f"{entry} {overall_iqm(outcomes, entry)}" for entry in known)
-        page.text(f"{arm}, all settings, IQM with bootstrap stratified by setting: {text}.")
+        text = "all settings, IQM of the return with bootstrap stratified by setting"
+        page.text(f"{arm}, {text}: {overall_iqm(finding.arm(arm))}.")
 
 
 def _versions_of_runs(shown: Shown) -> str:

@@ -38,9 +38,9 @@ def final_rows(experiment: Experiment, finding: Finding) -> Table:
     known = [e for e in ("return", "success") if any(o.knows(e) for o in finding.outcomes)]
     header = [*_arm_header(experiment), "seeds"]
     for entry in known:
-        header += [f"{entry}: mean [95 % CI]", f"{entry}: IQM [bootstrap 95 %]"]
-        header += [f"controller's {entry}"]
-    return header, [_final_row(outcome, known) for outcome in finding.outcomes]
+        header += [f"{entry}: mean [95 % CI]", f"controller's {entry}"]
+    rows = [[*_final_row(o, known), overall_iqm([o])] for o in finding.outcomes]
+    return [*header, "return: IQM [bootstrap 95 %]"], rows
 
 
 def followed_rows(experiment: Experiment, finding: Finding) -> Table:
@@ -88,9 +88,13 @@ def effort(finding: Finding) -> str:
     )
 
 
-def overall_iqm(outcomes: Sequence[Outcome], entry: str) -> str:
-    """Return the interquartile mean over seeds and settings, resampled within each setting."""
-    return _iqm([outcome.final(entry) for outcome in outcomes], unit_of(entry))
+def overall_iqm(outcomes: Sequence[Outcome]) -> str:
+    """Return the returns' interquartile mean over seeds and settings, resampled within settings.
+
+    Not that of success: nearly all of its values may be alike, and they have an interval already.
+    """
+    strata = [outcome.final("return") for outcome in outcomes]
+    return with_interval(iqm(*strata), iqm_interval(*strata))
 
 
 def _success_row(outcome: Outcome, scenario: str) -> list[str]:
@@ -120,12 +124,11 @@ def _final_row(outcome: Outcome, entries: Sequence[str]) -> list[str]:
     cells = [*_arm(outcome), str(len(outcome.runs))]
     for entry in entries:
         if not outcome.knows(entry):
-            cells += ["", "", ""]
+            cells += ["", ""]
             continue
         values, controller = outcome.final(entry), outcome.final(f"controller_{entry}")
         unit = unit_of(entry)
         cells.append(with_interval(values.mean(), interval_of(outcome, entry), unit))
-        cells.append(_iqm([values], unit))
         cells.append("none" if outcome.acts_alone else number(controller.mean(), unit))
     return cells
 
@@ -146,7 +149,3 @@ def _arm(outcome: Outcome) -> list[str]:
     """Return an arm's name, and its setting if there is a sweep."""
     point = outcome.point
     return [point.arm] if point.value is None else [point.arm, f"{point.value:g}"]
-
-
-def _iqm(strata: Sequence[np.ndarray], unit: float) -> str:
-    return with_interval(iqm(*strata), iqm_interval(*strata), unit)

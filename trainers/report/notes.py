@@ -21,7 +21,8 @@ NOTE = (
     "episodes; the controller's return: Student's t over them. Residual of several runs: the "
     "success rate of runs and episodes like these, beta-binomial, or Student's t of the return. "
     "Gain: paired on the same frozen episodes. Rescued and broken: episodes that only the residual "
-    "or only the controller solves, mean of the runs."
+    "or only the controller solves, mean of the runs. No interval: returns of a single run, or "
+    "returns that are all alike."
 )
 UNPAIRED = (
     "The episodes of {} are not frozen: played twice they came out differently. Controller and "

@@ -158,20 +158,30 @@ def number(value: float, scale: float = 1.0) -> str:
 def with_interval(
     value: float, interval: tuple[float, float], scale: float = 1.0, sign: str = "-"
 ) -> str:
-    """Format a value and its interval; bounds are rounded outwards. A scale of 100 means per cent.
+    """Format a value and its interval, or that it has none. A scale of 100 means per cent.
 
     Two digits of the largest of the numbers are shown, however small they are.
-
-    An interval that is not a number is left out: a finite value without one is of a single run.
     """
     digits, percent = (1, " %") if scale == 100.0 else (decimals(value, *interval), "")
     text = f"{value * scale:{sign}.{digits}f}"
     if math.isnan(interval[0]):
-        return f"{text}{percent}{' (one run)' if math.isfinite(value) else ''}"
-    unit = 10**digits
-    low = np.floor(interval[0] * scale * unit + 1e-9) / unit + 0.0  # no zero with a sign
-    high = np.ceil(interval[1] * scale * unit - 1e-9) / unit + 0.0
-    return f"{text} [{low:{sign}.{digits}f}, {high:{sign}.{digits}f}]{percent}"
+        return f"{text}{percent}{' (no interval)' if math.isfinite(value) else ''}"
+    return f"{text} {brackets(interval, f'{sign}.{digits}f', scale)}{percent}"
+
+
+def brackets(interval: Interval, form: str, scale: float = 1.0, unit: str = "") -> str:
+    """Format an interval; its bounds are rounded outwards, so that it keeps a width.
+
+    Args:
+        interval: Its bounds.
+        form: Of a bound, with its decimals at the end: ``.1f``.
+        scale: Of the bounds.
+        unit: Behind either bound.
+    """
+    step = 10 ** int(form.rpartition(".")[2].removesuffix("f"))
+    low = np.floor(interval[0] * scale * step + 1e-9) / step + 0.0  # no zero with a sign
+    high = np.ceil(interval[1] * scale * step - 1e-9) / step + 0.0
+    return f"[{low:{form}}{unit}, {high:{form}}{unit}]"
 
 
 def quantity_rows(

@@ -188,6 +188,32 @@ def test_unpaired_interval_of_returns_is_welchs():
     assert np.isnan(unpaired_interval([1.0], [2.0])).all()
 
 
+@pytest.mark.parametrize("value", [0.0, 0.1, 1.0, -1234.56])
+@pytest.mark.parametrize("runs", [2, 3, 7, 10])
+def test_equal_values_have_an_interval_with_a_width_or_none(value, runs):
+    alike = np.full((runs, 30), value)
+    odd = np.append(np.full(19, value), value + 1.0)  # which the bootstrap hardly ever sees
+    unbounded = [
+        mean_interval(alike[:, 0]),
+        iqm_interval(alike[:, 0]),
+        iqm_interval(alike[:, 0], alike[:, 0]),
+        iqm_interval(odd),
+        paired_interval(alike),
+        paired_interval(alike, alike),
+        unpaired_interval(alike, alike),
+    ]
+    assert np.isnan(unbounded).all()
+    if 0 <= value <= 1:
+        for low, high in (
+            wilson(round(30 * value), 30),
+            rate_interval([round(30 * value)] * runs, 30),
+            success_interval(alike >= 0.5),
+            paired_interval(alike, bound=1.0),
+            unpaired_interval(alike, alike, bound=1.0),
+        ):
+            assert low < high
+
+
 def test_fishers_test_knows_no_pairs():
     assert fisher(10, 10, 20) == 1.0
     assert fisher(20, 0, 20) == pytest.approx(2 / 137846528820)  # two of C(40, 20) tables
@@ -201,7 +227,7 @@ def test_interquartile_mean_ignores_the_outer_quarters():
 
 def test_bootstrap_of_the_interquartile_mean_covers_it():
     rng = np.random.default_rng(0)
-    intervals = [iqm_interval(rng.normal(3.0, 2.0, size=20), resamples=300) for _ in range(200)]
+    intervals = [iqm_interval(rng.normal(3.0, 2.0, size=20)) for _ in range(200)]
     assert np.mean([low < 3.0 < high for low, high in intervals]) == pytest.approx(0.92, abs=0.06)
 
 

@@ -72,8 +72,9 @@ def test_changes_are_compared_with_the_first_on_the_seeds_that_both_have(outcome
     changed = [cell.split(" [")[0] for cell in cells["without a price"]]
     assert changed == ["-50.0", "-50.0", "-50.0"]
     _, on_the_way = rows(found, ON_THE_WAY)
-    assert on_the_way["the default"][1].startswith("50.0 [")
-    assert on_the_way["without a price"][2].startswith("-25.0 [")
+    assert on_the_way["the default"][0].startswith("45.0 [")
+    assert on_the_way["the default"][1] == "50.0 % (no interval)"  # both alike
+    assert on_the_way["without a price"] == ["-25.0 % (no interval)"] * 3
     two = finding(*(outcome(f"push, {arm}", {0: 1, 1: 20}) for arm in CHANGES))
     assert rows(two, ON_THE_WAY)[1]["the default"][0].endswith("[0.0, 100.0] %")
     _, handed_over = rows(found, HANDED_OVER)
@@ -120,7 +121,7 @@ def test_what_is_not_finished_is_left_empty(outcome):
     assert cells["without a price"][1] == ""  # no mean of some of the tasks
     assert cells["without symmetry"][0].startswith("-20.0 [")
     assert cells["without symmetry"][1] == cells["without symmetry"][0]  # made on this task alone
-    assert rows(found, ON_THE_WAY, experiment)[1]["without symmetry"][0] == "-10.0 % (one run)"
+    assert rows(found, ON_THE_WAY, experiment)[1]["without symmetry"][0] == "-10.0 % (no interval)"
 
 
 def test_the_figure_has_a_panel_for_every_task_and_one_for_the_mean(outcome, tmp_path):

@@ -3,8 +3,11 @@
 import csv
 from dataclasses import replace
 
+import numpy as np
+
 from experiment_project import ZERO, finding, of
 from rrl.trainers.experiments.numbers import write_numbers
+from rrl.trainers.experiments.outcomes import Counts
 from rrl.trainers.experiments.tables import final_rows, followed_rows, outcome_rows, steps_rows
 
 
@@ -73,9 +76,17 @@ def test_rows_of_a_sweep_name_the_setting(outcome):
         assert len(first) == len(header)
 
 
+def test_success_of_runs_that_all_succeed_is_not_certain(outcome):
+    """Its interquartile mean would have an interval of zero width."""
+    header, (row,) = final_rows(of("table"), finding(outcome(success=1.0)))
+    shown = [cell for title, cell in zip(header, row, strict=True) if title.startswith("success")]
+    assert shown == ["100.0 [74.7, 100.0] %"]
+    assert str(Counts(np.ones((1, 1000), dtype=bool))).endswith("[99%, 100%]")
+
+
 def test_one_seed_has_no_interval(outcome):
     made = outcome()
     experiment, found = of("table"), finding(replace(made, runs=made.runs[:1]))
     _, (row,) = final_rows(experiment, found)
-    assert row[2] == "-2.00 (one run)"
+    assert row[2] == "-2.00 (no interval)"
     assert not any("nan" in cell for cell in row)
