@@ -64,6 +64,8 @@ EXPERIMENT = {
     "sweep": {"key": "env.base.drift", "label": "drift [m]", "values": {"tiny": [0.0, 0.06]}},
 }
 SWEEP = {"key": "a.mu", "label": "mu [m]", "values": {"quick": [0.0, 1.0]}}
+SPREAD = {"name": "position", "entry": "end_effector_position", "axes": ["x", "y", "z"]}
+SPREAD |= {"unit": "cm", "factor": 100.0}
 ZERO = {"_target_": "rrl.controllers.ZeroController"}
 
 
@@ -89,4 +91,5 @@ def finding(*outcomes):
 def of(figure, **changes):
     """An experiment that this figure shows."""
     sweep = SWEEP if figure == "sweep" else None
+    changes = {"spread": SPREAD, **changes} if figure == "spread" else changes
     return Experiment(name="some", title="T", figure=figure, arms={"a": ()}, sweep=sweep, **changes)

@@ -108,7 +108,10 @@ def transfers_quickly(finding: Finding) -> tuple[bool, str]:
 def explores_wider(finding: Finding) -> tuple[bool, str]:
     """The summed variance of the positions visited: the intervals over seeds are apart."""
     residual, alone = (finding.arm(arm)[0].variances().sum(axis=1) for arm in (RESIDUAL, ALONE))
-    text = f"variance of the positions visited [cm^2]: RL alone {_with_interval(alone)}, "
+    spread = finding.arm(ALONE)[0].point.spread
+    assert spread is not None
+    text = f"variance of the {spread.name}s visited [{spread.unit}^2]: "
+    text += f"RL alone {_with_interval(alone)}, "
     text += f"residual {_with_interval(residual)}"
     return _interval(alone)[0] > _interval(residual)[1], text
 

@@ -26,7 +26,6 @@ from . import changes, front
 from .figure_style import HATCHES, LINES, PANELS, color_of, marked, of_round, unit_of
 from .outcomes import Finding, Outcome
 from .spec import Experiment
-from .spread import AXES
 from .tables import final_rows, interval_of, outcome_rows
 
 TASK_COLUMNS = 3
@@ -101,6 +100,8 @@ def _sweep(experiment: Experiment, finding: Finding) -> Figure:
 
 
 def _spread(experiment: Experiment, finding: Finding) -> Figure:
+    spread = experiment.spread
+    assert spread is not None
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     axis = figure.subplots()
     width = 0.8 / len(finding.outcomes)
@@ -116,9 +117,9 @@ def _spread(experiment: Experiment, finding: Finding) -> Figure:
         axis.bar(at, mean, 0.9 * width, yerr=error, label=outcome.point.label, **look)
         for row in values:
             axis.plot(at, row, ".", color="black", ms=4, alpha=0.6)
-    axis.set_xticks(range(values.shape[1]), [*AXES[: values.shape[1] - 1], "sum"])
+    axis.set_xticks(range(values.shape[1]), [*spread.axes, "sum"])
     axis.set_xlabel("direction")
-    axis.set_ylabel("variance of the end effector's positions [cm²]")
+    axis.set_ylabel(f"variance of the {spread.name}s visited [{spread.unit}²]")
     return figure
 
 

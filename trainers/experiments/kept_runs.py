@@ -9,7 +9,7 @@ A run's directory without all that is large, 10 to 30 KB; `rrl report` reads it 
                 metrics.csv                  success and return of the evaluations, wall time
                 results.json                 the final evaluation
                 versions.json                packages and machine
-                positions.json               how widely it moved, where its log has all positions
+                positions.json               how widely it moved, where an experiment shows that
 """
 
 from __future__ import annotations
@@ -33,36 +33,38 @@ from ..storage.files import write_atomically
 from ..storage.run_files import CHECKPOINTS, CONFIG_FILE, METRICS, RESULTS, VERSIONS
 from ..storage.transition_log import FOLDER as TRANSITIONS
 from .plan import replaced
-from .spread import POSITIONS, keeps_positions, spatial_variance
+from .spec import Spread
+from .spread import spatial_variance
 
 ENTRIES = tuple(p + e for e in ("success", "return") for p in ("", CONTROLLER, ACCEPTED))
 
 
-def keep(job: Job, data: Path) -> None:
+def keep(job: Job, data: Path, spreads: Sequence[Spread] = ()) -> None:
     """Write what is kept of a finished run below ``data``; what was taken from there stays."""
     run, folder = Run(job.path, job.name), _folder(job, data)
     if not _begun(job) and (folder / RESULTS).is_file():
         return  # the store has today's configuration of it, that folder what was run
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / CONFIG_FILE, _config(job))
-    if keeps_positions(run.config):
-        write_atomically(folder / POSITIONS, _json(spatial_variance(run).tolist()))
+    for spread in spreads:
+        write_atomically(folder / spread.file, _json(spatial_variance(run, spread).tolist()))
     write_atomically(folder / METRICS, _record(run))
     write_atomically(folder / VERSIONS, _json(run.versions))
     results = {name: _result(record) for name, record in run.results.items()}
     write_atomically(folder / RESULTS, _json(results))
 
 
-def take(jobs: Sequence[Job], data: Path) -> list[Job]:
+def take(jobs: Sequence[Job], data: Path, spreads: Mapping[Path, Sequence[Spread]]) -> list[Job]:
     """Put kept runs into the store, in place of those that have not begun there.
 
-    A run whose policy another one has yet to start from is not taken: it has to be trained.
+    A run whose policy another one has yet to start from is not taken: it has to be trained. So has
+    one of which not all is kept that is shown: by its path, what its variance is shown of.
 
     Returns:
         What was taken; these jobs are finished.
     """
     missing = [job for job in jobs if not job.finished]
-    kept = [job for job in missing if not _begun(job) and (_folder(job, data) / RESULTS).is_file()]
+    kept = [job for job in missing if not _begun(job) and _is_whole(job, data, spreads[job.path])]
     trained = _with_needs([job for job in missing if job not in kept], missing)
     taken = [job for job in kept if job not in trained]
     for job in taken:
@@ -71,6 +73,11 @@ def take(jobs: Sequence[Job], data: Path) -> list[Job]:
         for name in (*sorted(names), RESULTS):  # it marks a finished run
             shutil.copyfile(_folder(job, data) / name, job.path / name)
     return taken
+
+
+def _is_whole(job: Job, data: Path, spreads: Sequence[Spread]) -> bool:
+    files = [RESULTS, *(spread.file for spread in spreads)]
+    return all((_folder(job, data) / name).is_file() for name in files)
 
 
 def kept_runs(data: Path) -> int:

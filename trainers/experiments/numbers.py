@@ -13,7 +13,7 @@ from ..metric_names import ACCEPTED, CONTROLLER, P99
 from ..report.runs import Run
 from .outcomes import Finding, Outcome
 from .spec import Experiment
-from .spread import AXES, spatial_variance
+from .spread import spatial_variance
 
 POLICIES = {"controller": CONTROLLER, "latest": "", "handed_over": ACCEPTED}
 """Column's beginning to that of an entry."""
@@ -28,10 +28,10 @@ COLUMNS = (
     *("arm", "setting", "key", "seed", "env_steps", "evaluation", "scenario", "episodes"),
     *ENTRIES,
     *CHANGES,
-    *(f"position_variance_{axis}_cm2" for axis in AXES),
     *("wall_time_s", "versions"),
 )
-"""Then the metric's mean and 99th percentile by policy, where success is drawn against one.
+"""Then the metric's mean and 99th percentile by policy, where success is drawn against one, or the
+variance by axis, where it is shown.
 
 ``evaluation`` is ``training`` or ``final``; what was not measured is empty, and what needs a
 controller is for an arm that acts without one. Success is a share,
@@ -44,7 +44,8 @@ Row = Mapping[str, Any]
 def write_numbers(experiment: Experiment, finding: Finding, path: Path) -> Path:
     """Write the file ``path`` with :data:`COLUMNS` and return it."""
     with path.open("w", newline="", encoding="utf-8") as file:
-        columns = [*COLUMNS, *_metric(experiment)]
+        spread = experiment.spread.columns if experiment.spread else []
+        columns = [*COLUMNS, *_metric(experiment), *spread]
         writer = csv.DictWriter(file, columns, lineterminator="\n")
         writer.writeheader()
         for outcome in finding.outcomes:
@@ -80,9 +81,8 @@ def _final(experiment: Experiment, outcome: Outcome, run: Run) -> Iterator[Row]:
     """The final evaluation, scenario by scenario."""
     more: dict[str, Any] = {"wall_time_s": round(run.seconds, 1)}
     more["versions"] = " ".join(f"{name}={version}" for name, version in run.versions.items())
-    if experiment.figure == "spread":
-        values = spatial_variance(run).tolist()
-        more |= {f"position_variance_{a}_cm2": v for a, v in zip(AXES, values, strict=False)}
+    if spread := experiment.spread:
+        more |= zip(spread.columns, spatial_variance(run, spread).tolist(), strict=True)
     total = run.config["trainer"]["total_steps"]
     common = {"env_steps": total, "evaluation": "final", "episodes": outcome.episodes}
     for scenario in outcome.scenarios:

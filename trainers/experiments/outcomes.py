@@ -112,8 +112,12 @@ class Outcome:
         return Counts(np.array(solved[:1] if alike else solved, dtype=bool))
 
     def variances(self) -> Floats:
-        """Return the spatial variance of exploration by seed and axis ``[S, axes]``, [cm^2]."""
-        return np.array([spatial_variance(run) for run in self.runs])
+        """Return the variance of what was visited, by seed and axis ``[S, axes]``, [unit^2].
+
+        Its point is one of an experiment with a ``spread``.
+        """
+        assert self.point.spread is not None
+        return np.array([spatial_variance(run, self.point.spread) for run in self.runs])
 
     def knows(self, entry: str, scenario: str | None = None) -> bool:
         """Return whether the final evaluation has that entry; None: in the followed scenario."""

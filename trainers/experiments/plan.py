@@ -28,8 +28,7 @@ from typing import Any
 
 from ..launch.job import Job, one_seed
 from ..storage.same_run import SEEDS, measured_settings
-from .spec import Experiment, Overrides, Settings
-from .spread import POSITION, keeps_positions
+from .spec import Experiment, Overrides, Settings, Spread
 
 Compose = Callable[[Sequence[str]], dict[str, Any]]
 """From overrides of ``rrl train`` to the resolved configuration."""
@@ -53,6 +52,7 @@ class Point:
         shown: Whether it is an arm, and not a run that arms start from.
         home: Name of the first point with this key, which the runs' directory has.
         swept: What the sweep sets, without its section.
+        spread: What of its runs the variance is shown of.
     """
 
     experiment: str
@@ -66,6 +66,7 @@ class Point:
     shown: bool = True
     home: str = ""
     swept: str = ""
+    spread: Spread | None = None
 
     @property
     def label(self) -> str:
@@ -110,6 +111,15 @@ def plan_jobs(points: Sequence[Point], out: Path) -> list[Job]:
             config = replaced(one_seed(point.config, seed), needs)
             jobs.setdefault(path, Job(path, config, tuple(needs.values())))
     return sorted(jobs.values(), key=lambda job: job.config["trainer"]["seed"])
+
+
+def plan_spreads(points: Sequence[Point], out: Path) -> dict[Path, list[Spread]]:
+    """Return by run what its variance is shown of."""
+    spreads: dict[Path, list[Spread]] = {}
+    for point in points:
+        for path in (run_directory(point, seed, out) for seed in point.seeds):
+            spreads.setdefault(path, []).extend([point.spread] if point.spread else [])
+    return spreads
 
 
 def run_directory(point: Point, seed: int, out: Path) -> Path:
@@ -161,7 +171,10 @@ def _points_of(
             _check(experiment, config)
         key, seeds = _key(config, used), tuple(range(settings.seeds_of(experiment)))
         asked = arm, value, key, overrides, config, seeds, used, shown
-        made = Point(experiment.name, *asked, swept=sweep.name if sweep else "")
+        swept = sweep.name if sweep else ""
+        made = Point(
+            experiment.name, *asked, swept=swept, spread=experiment.spread if shown else None
+        )
         return replace(made, home=homes.setdefault(key, made.name))
 
     sources: dict[str, Point] = {}
@@ -196,12 +209,17 @@ def _check(experiment: Experiment, config: Mapping[str, Any]) -> None:
                 f"{experiment.name}.evaluated_at: expected multiples of trainer.evaluation.every "
                 f"({every}) up to trainer.total_steps ({total}), got {at}"
             )
-    if experiment.figure == "spread" and not keeps_positions(config):
-        raise ValueError(
-            f"{experiment.name}.figure: expected runs that read {POSITION!r} for spread, and a "
-            f"trainer.buffer_capacity of all their steps ({total}), got the inputs "
-            f"{', '.join(config['env']['inputs'])} and {trainer['buffer_capacity']}"
-        )
+    if experiment.spread is not None:
+        if (entry := experiment.spread.entry) not in (inputs := config["env"]["inputs"]):
+            raise ValueError(
+                f"{experiment.name}.spread.entry: expected one of env.inputs "
+                f"({', '.join(sorted(inputs))}), got {entry!r}"
+            )
+        if trainer["buffer_capacity"] < total:
+            raise ValueError(
+                f"{experiment.name}.spread: expected a trainer.buffer_capacity of all steps of a "
+                f"run ({total}), got {trainer['buffer_capacity']}"
+            )
     if experiment.metric is not None and experiment.metric not in known:
         choices = ", ".join(sorted(known)) or "none"
         raise ValueError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -21,9 +21,9 @@ from .figures import draw
 from .kept_runs import keep, kept_runs, take, train_again
 from .numbers import write_numbers
 from .outcomes import Finding, gather
-from .plan import Compose, Point, plan_jobs, plan_points
+from .plan import Compose, Point, plan_jobs, plan_points, plan_spreads
 from .report import Shown, write_experiments, write_results
-from .spec import Experiment, Settings, load_experiments, load_settings
+from .spec import Experiment, Settings, Spread, load_experiments, load_settings
 from .video import rescue_video, task_videos
 
 
@@ -65,7 +65,7 @@ def reproduce(
     jobs = plan_jobs(points, out)
     # Of two commands each would take the other's runs for its own.
     with claimed(out) if settings.workers != 0 else nullcontext():
-        ending = _run(jobs, settings, console, again)
+        ending = _run(jobs, plan_spreads(points, out), settings, console, again)
     name = "-".join(("report", *names))
     report = out / f"{name}.html"
     _show(experiments, points, settings, ending, report, console)
@@ -73,7 +73,13 @@ def reproduce(
     return report
 
 
-def _run(jobs: Sequence[Job], settings: Settings, console: Output, again: str) -> Ending:
+def _run(
+    jobs: Sequence[Job],
+    spreads: Mapping[Path, Sequence[Spread]],
+    settings: Settings,
+    console: Output,
+    again: str,
+) -> Ending:
     """Take the runs that are kept, run the others and keep them too."""
     arguments = jobs, settings.launcher, settings.workers, console, again
     if settings.workers != 0:
@@ -84,7 +90,7 @@ def _run(jobs: Sequence[Job], settings: Settings, console: Output, again: str) -
     if data.exists() and not data.is_dir():
         raise ValueError(f"data: expected a folder, got the file {data}")
     data.mkdir(parents=True, exist_ok=True)
-    taken = take(jobs, data)
+    taken = take(jobs, data, spreads)
     console.say(f"{len(taken)} runs are taken from {data}, without what they learned")
     if not any(job.finished for job in jobs) and (others := kept_runs(data)):
         console.say(
@@ -95,7 +101,7 @@ def _run(jobs: Sequence[Job], settings: Settings, console: Output, again: str) -
 
     def kept(job: Job) -> None:
         try:
-            keep(job, data)
+            keep(job, data, spreads[job.path])
         except (OSError, ValueError, KeyError) as error:  # the others go on; the store has the run
             console.say(f"{job.name} is not kept in {data}: {error!r}", style="yellow")
 

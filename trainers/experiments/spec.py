@@ -42,6 +42,34 @@ class Sweep(_Section):
         return self.key.rpartition(".")[2]
 
 
+class Spread(_Section):
+    """An entry whose variance over all steps of a run is shown.
+
+    Attributes:
+        name: What it is, as in ``position``; columns and the kept file are called after it.
+        entry: Its key among ``env.inputs``.
+        axes: Names of its numbers.
+        unit: Of what is shown.
+        factor: From the entry's unit to this one.
+    """
+
+    name: PlainName
+    entry: str
+    axes: Annotated[tuple[PlainName, ...], Field(min_length=1)]
+    unit: PlainName
+    factor: Annotated[float, Field(gt=0)] = 1.0
+
+    @property
+    def file(self) -> str:
+        """Where a run that is kept without its log has the variance."""
+        return f"{self.name}s.json"
+
+    @property
+    def columns(self) -> list[str]:
+        """Of the variance by axis."""
+        return [f"{self.name}_variance_{axis}_{self.unit}2" for axis in self.axes]
+
+
 class Experiment(_Section):
     """Arms x settings x seeds, and what is drawn of them.
 
@@ -53,6 +81,7 @@ class Experiment(_Section):
             against ``metric``; ``tasks``: every arm is a task of its own, with its own controller;
             ``changes``: every change against the first of them, on every task.
         metric: What ``front`` draws success against: a quantity that the environment reports.
+        spread: What ``spread`` shows the variance of.
         by_name: Whether it is left out where no experiment is named.
         seeds: How many, instead of the scale's number.
         evaluated_at: Environment steps whose evaluations become a table.
@@ -73,6 +102,7 @@ class Experiment(_Section):
     paper: str | None = None
     figure: Literal["curves", "sweep", "table", "spread", "front", "tasks", "changes"]
     metric: PlainName | None = None
+    spread: Spread | None = None
     by_name: bool = False
     seeds: Positive | None = None
     evaluated_at: tuple[Positive, ...] = ()
@@ -125,6 +155,11 @@ class Experiment(_Section):
             raise ValueError(
                 "metric: expected one with figure: front, and only there, got "
                 f"{self.metric!r} with figure: {self.figure}"
+            )
+        if (self.figure == "spread") != (self.spread is not None):
+            raise ValueError(
+                "spread: expected it with figure: spread, and only there, got "
+                f"{'it' if self.spread else 'none'} with figure: {self.figure}"
             )
         return self
 

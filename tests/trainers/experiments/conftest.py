@@ -3,18 +3,19 @@
 import csv
 import json
 import sys
+from dataclasses import replace
 from functools import partial
 
 import pytest
 import yaml
 
-from experiment_project import write_project
+from experiment_project import SPREAD, write_project
 from rrl.trainers.cli.compose import compose as compose_config
 from rrl.trainers.console import Output
 from rrl.trainers.experiments.outcomes import Outcome
 from rrl.trainers.experiments.plan import Point
 from rrl.trainers.experiments.reproduce import reproduce
-from rrl.trainers.experiments.spec import load_experiments
+from rrl.trainers.experiments.spec import Spread, load_experiments
 from rrl.trainers.report.runs import Run
 
 SEEDS = (0, 1, 2)
@@ -70,6 +71,7 @@ def outcome(tmp_path):
         scenarios = scenarios or {scenario: {}}
         runs = tuple(write(arm, curves, scenarios, final, seed) for seed in SEEDS)
         point = Point("some", arm, value, "key", (), runs[0].config, SEEDS, swept="mu")
+        point = replace(point, spread=Spread(**SPREAD))
         return Outcome(point, runs)
 
     def episodes(summary):
@@ -84,9 +86,9 @@ def outcome(tmp_path):
         path.mkdir()
         numbers = {"success": 1.0, "return": -2.0, "controller_success": 0.1}
         numbers |= {"controller_return": -4.0, **final}
+        numbers["return"] += 0.001 * seed
         numbers = {"return_gain": numbers["return"] - numbers["controller_return"], **numbers}
         numbers = {"rescues": 5, "regressions": 0, "mcnemar_p": 0.06, **numbers}
-        numbers["return"] += 0.001 * seed
         results = {
             name: {"summary": {**numbers, **entry}, "episodes": episodes({**numbers, **entry})}
             for name, entry in scenarios.items()

@@ -9,11 +9,11 @@ from matplotlib.container import Container
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from experiment_project import ZERO, finding, of
+from experiment_project import SPREAD, ZERO, finding, of
 from rrl.trainers.experiments.figures import draw
 from rrl.trainers.experiments.front import front_rows
 from rrl.trainers.experiments.report import Shown, write_results
-from rrl.trainers.experiments.spec import Experiment, Scale, Settings
+from rrl.trainers.experiments.spec import Experiment, Scale, Settings, Spread
 from rrl.trainers.experiments.tables import final_rows, followed_rows, outcome_rows, steps_rows
 from rrl.trainers.launch.pool import Ending
 
@@ -176,10 +176,12 @@ def test_nothing_that_is_written_is_cut_off(outcome, figure, arms, tmp_path):
 
 
 def test_a_plane_has_two_axes(outcome, tmp_path):
+    plane = Spread(**SPREAD | {"name": "place", "axes": ["x", "y"]})
     arm = outcome("arm", value=0.0)
     for run in arm.runs:
-        (run.path / "positions.json").write_text("[1.0, 2.0]")
-    svg = labels("spread", finding(arm), tmp_path)
+        (run.path / "places.json").write_text("[1.0, 2.0]")
+    arm = replace(arm, point=replace(arm.point, spread=plane))
+    svg = labels("spread", finding(arm), tmp_path, spread=plane)
     assert [f"<!-- {name} -->" in svg for name in ("x", "y", "z", "sum")] == [1, 1, 0, 1]
 
 

@@ -7,7 +7,7 @@ import shutil
 import pytest
 import yaml
 
-from experiment_project import EXPERIMENT, write
+from experiment_project import EXPERIMENT, SPREAD, write
 from logged_runs import make_run
 from rrl.trainers.experiments.kept_runs import keep
 from rrl.trainers.experiments.numbers import COLUMNS
@@ -85,11 +85,20 @@ def check_numbers(rows):
 @pytest.mark.slow
 def test_how_widely_a_run_moved_is_kept_without_its_transitions(experiment, run, project):
     experiment(
-        {**CURVES, "figure": "spread", "seeds": 1, "overrides": ["+env.base.dim=3"]},
+        {**CURVES, "seeds": 1, "overrides": ["+env.base.dim=3"]},
+    )
+    experiment(
+        {"title": "t", "paper": "p", "figure": "spread", "spread": SPREAD, "runs_of": "some"},
+        "wide",
     )
     first, _ = run("some", data="kept")
-    second, _ = run("some", data="kept", out="elsewhere")
-    rows = [numbers(report.parent / "figures/some.csv") for report in (first, second)]
+    assert not list((project / "kept").rglob("positions.json"))  # nobody has asked for it
+    assert not any("variance" in column for column in numbers(first.parent / "figures/some.csv")[0])
+    _, said = run("wide", data="kept", out="another", workers=0)
+    assert "0 runs are taken from" in said  # what is shown of them is not kept
+    first, _ = run("wide", data="kept")
+    second, _ = run("wide", data="kept", out="elsewhere")
+    rows = [numbers(report.parent / "figures/wide.csv") for report in (first, second)]
     assert rows[0] == rows[1]
     assert float(rows[1][-1]["position_variance_z_cm2"]) > 0
     # What cannot be kept is said, and the others are kept.

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from experiment_project import EXPERIMENT, SETTINGS, write
+from experiment_project import EXPERIMENT, SETTINGS, SPREAD, write
 from rrl.trainers.experiments.plan import plan_jobs, plan_points, run_directory
 from rrl.trainers.experiments.spec import load_experiments, load_settings
 
@@ -55,9 +55,10 @@ def test_nothing_is_asked_of_a_source_but_its_weights(points, folders):
 
 def test_a_spread_is_of_all_steps(points, folders):
     content = {k: v for k, v in EXPERIMENT.items() if k != "sweep"}
-    content |= {"figure": "spread", "overrides": ["trainer.buffer_capacity=199"]}
+    content |= {"figure": "spread", "spread": SPREAD}
+    content |= {"overrides": ["trainer.buffer_capacity=199"]}
     write(folders[0] / "experiment/wide.yaml", content)
-    with pytest.raises(ValueError, match=r"trainer.buffer_capacity .* \(200\), .* and 199"):
+    with pytest.raises(ValueError, match=r"wide.spread: .*buffer_capacity .* \(200\), got 199"):
         points("wide")
 
 
@@ -157,9 +158,13 @@ def test_what_starts_from_another_run_waits_for_it_and_names_it(points, folders,
         ),
         ({"scales": {"tyni": []}}, "wrong.scales: expected some of .*tiny.*, got 'tyni'"),
         (
-            {"figure": "spread", "overrides": ["~env.inputs.end_effector_position"]},
-            "wrong.figure: expected runs that read 'end_effector_position'",
+            {"figure": "spread", "spread": {**SPREAD, "entry": "elbow"}},
+            r"wrong.spread.entry: expected one of env.inputs \(end_effector_position, goal\), "
+            "got 'elbow'",
         ),
+        ({"figure": "spread", "spread": {**SPREAD, "axes": []}}, "wrong.spread.axes"),
+        ({"figure": "spread"}, "spread: expected it with figure: spread, and only there"),
+        ({"spread": SPREAD}, "spread: expected it with figure: spread, and only there"),
         ({"tasks": {"a": []}}, "expected tasks and changes, or neither, got tasks alone"),
         ({"name": "right"}, "wrong.name: unknown key"),
         ({"arms": {}, "runs_of": "drift"}, "expected no arms beside runs_of"),
