@@ -1,4 +1,6 @@
-"""How often the intervals cover what they say: ``python benchmarks/coverage.py``, a few minutes.
+"""How often the intervals cover what they say: ``python benchmarks/coverage.py``, an hour.
+
+Fewer studies and shares take minutes; ``docs/reproduction.md`` has such a table.
 
 Runs have success rates from a beta distribution with the given mean and standard deviation, and
 all play the same 100 episodes. An episode's difficulty decides the given share of its outcomes, luck
@@ -98,19 +100,23 @@ def _coverage(intervals: np.ndarray, truth: float) -> tuple[float, float]:
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--studies", type=int, default=2000, help="simulated studies a cell")
-    studies = parser.parse_args().studies
+    parser.add_argument("--alike", type=float, nargs="+", default=ALIKE, help="shares, see above")
+    arguments = parser.parse_args()
+    studies, shares = arguments.studies, arguments.alike
     cells = [(m, s) for m in MEANS for s in SPREADS if s**2 < m * (1 - m)]
     print(f"coverage [%] (mean width [points]) of success_interval, {studies} studies a cell\n")
-    header = [f"{n} runs, {alike:.0%} alike" for n in RUNS for alike in ALIKE]
+    header = [f"{n} runs, {alike:.0%} alike" for n in RUNS for alike in shares]
     print("| mean [%] | spread [points] | " + " | ".join(header) + " |")
     print("|---|---|" + "---|" * len(header))
     for mean, spread in cells:
         found = [
             success_coverage(mean, spread, runs, studies, alike=alike)
             for runs in RUNS
-            for alike in ALIKE
+            for alike in shares
         ]
         row = " | ".join(f"{100 * c:.1f} ({100 * w:.1f})" for c, w in found)
         print(f"| {100 * mean:g} | {100 * spread:g} | {row} |", flush=True)

@@ -35,7 +35,8 @@ EXTRAS = {"metaworld": "metaworld", "fetch": "gymnasium_robotics", "robosuite": 
 """Modules of rrl.envs.gallery, and the packages that they need."""
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", ROOT / "examples/README.md", *sorted((ROOT / "docs").glob("*.md"))]
-
+POINT = re.compile(r"\[([+-]?\d[\d.]*)((?: ?%)?), \1\2\]")
+"""An interval of zero width, which would say that something is certain."""
 
 RUN_ELSEWHERE = {("python", "robot.md"), ("yaml", "robot.md")}
 """tests/test_robot_page.py runs these: they need a plant, and one another."""
@@ -72,6 +73,16 @@ def commands():
             for command in re.sub(r"(^|\s)#.*", "", line).split("&&"):
                 if command.strip():
                     yield pytest.param(shlex.split(command), id=f"{block.id} {command.strip()}")
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_no_interval_has_zero_width(document):
+    assert [found[0] for found in POINT.finditer(document.read_text())] == []
+
+
+@pytest.mark.parametrize("text", ["[100.0, 100.0] %", "[+0.0, +0.0]", "[100%, 100%]", "[-1, -1]"])
+def test_an_interval_of_zero_width_is_recognized(text):
+    assert POINT.search(text)
 
 
 @pytest.fixture(scope="module")
