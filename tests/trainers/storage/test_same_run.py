@@ -60,7 +60,7 @@ def another_point(num_envs=1):
 )
 def test_other_inputs_are_refused(stopped, make, simulated, changes, line):
     trainer = make(environment=replace(simulated, **changes))
-    with trainer, pytest.raises(ValueError, match=f"(?s)not the configuration .*\n  {line}"):
+    with trainer, pytest.raises(ValueError, match=f"(?s)got another one:.*\n  {line}"):
         trainer.resume()
 
 
@@ -77,13 +77,13 @@ def test_other_inputs_are_refused(stopped, make, simulated, changes, line):
 )
 def test_another_environment_is_refused_in_python_too(stopped, make, simulated, changes, line):
     trainer = make(environment=replace(simulated, **changes))
-    with trainer, pytest.raises(ValueError, match=f"(?s)not the configuration .*\n  {line}"):
+    with trainer, pytest.raises(ValueError, match=f"(?s)got another one:.*\n  {line}"):
         trainer.resume()
 
 
 def test_another_learner_is_refused_in_python_too(stopped, make):
     trainer = make(agent=partial(TD3, gamma=0.5))
-    with trainer, pytest.raises(ValueError, match=r"not the configuration .*\n  agent"):
+    with trainer, pytest.raises(ValueError, match=r"got another one:.*\n  agent"):
         trainer.resume()
 
 
